@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,10 @@ class Part:
         """Path in the run folder."""
         return f"{self.table}/{self.file}"
 
+    def has_any_of(self, first: int, last: int) -> bool:
+        """Whether its steps are among those from `first` to `last`, or between two of them."""
+        return self.first_step <= last and first <= self.last_step
+
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -65,7 +70,7 @@ class Block:
         return chained, json.dumps(asdict(chained), separators=(",", ":")).encode()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Inventory:
     """All committed blocks of a run."""
 
@@ -81,15 +86,27 @@ class Inventory:
         """Checksum of the whole."""
         return self.blocks[-1].chain if self.blocks else ""
 
-    @property
-    def parts(self) -> list[Part]:
+    @cached_property
+    def parts(self) -> tuple[Part, ...]:
         """Every part that counts, in the order of steps."""
         closed = [part for block in self.blocks for part in block.parts]
-        return closed + list(self.blocks[-1].open if self.blocks else ())
+        return (*closed, *(self.blocks[-1].open if self.blocks else ()))
 
-    def of(self, table: str) -> list[Part]:
+    @cached_property
+    def by_name(self) -> Mapping[str, Part]:
+        """The parts by their paths in the run folder."""
+        return {part.name: part for part in self.parts}
+
+    @cached_property
+    def _by_table(self) -> Mapping[str, tuple[Part, ...]]:
+        of_tables: dict[str, list[Part]] = {}
+        for part in self.parts:
+            of_tables.setdefault(part.table, []).append(part)
+        return {table: tuple(parts) for table, parts in of_tables.items()}
+
+    def of(self, table: str) -> tuple[Part, ...]:
         """The parts of a table."""
-        return [part for part in self.parts if part.table == table]
+        return self._by_table.get(table, ())
 
     def whole(self) -> "Inventory":
         """Only the whole blocks, after which a resumed run goes on."""

@@ -13,7 +13,7 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -232,15 +232,11 @@ class Run:
 
         There is one at least, because its columns are needed even if no row is.
         """
-        paths = self._paths("detections")
         ends = [end for column in steps for end in _ends(column)]
-        found = []
-        for path, part in zip(paths, self.inventory.of("detections"), strict=True):
-            if ends and part.first_step <= max(ends) and part.last_step >= min(ends):
-                found.append(path)
-        found = found or paths[:1]
-        for path in found:
-            self._check(path)
+        found = self.files("detections", (min(ends), max(ends))) if ends else []
+        if not found:
+            found = self._paths("detections")[:1]
+            self._check(found[0])
         return found
 
     def parts(
@@ -321,18 +317,46 @@ class Run:
         ValueError
             In one line, if the query is wrong.
         """
-        own = {"dt_s": self.dt_s, "steps": self.manifest["steps"], "variant": self.variant}
-        return self._database().answer(query, own | values)
+        return self._database().answer(query, self._own_values() | values)
+
+    def sql_of_steps(self, query: str, first: int, last: int, **values: Any) -> pd.DataFrame:
+        """Like `sql`, of the blocks that have any of some steps. So a long run can be asked stretch by stretch.
+
+        Parameters
+        ----------
+        query
+            As for `sql`. Blocks have further steps: it must say itself which steps count.
+        first, last
+            The steps, `$first` and `$last` in the query.
+        """
+        steps = {"first": first, "last": last}
+        return self._database().answer(query, self._own_values() | steps | values, (first, last))
+
+    def _own_values(self) -> dict[str, Any]:
+        """Values of names that a query may use without being given them."""
+        return {"dt_s": self.dt_s, "steps": self.manifest["steps"], "variant": self.variant}
 
     def _database(self) -> "Database":
         from results.sql import Database  # here, because DuckDB takes its time
 
         return self.once_for_all("database", lambda: Database(self.tables, self.files, self.require, self._folders()))
 
-    def files(self, name: str) -> list[Path]:
-        """Part files of a table, after their checksums were verified."""
+    def files(self, name: str, steps: tuple[int, int] | None = None) -> list[Path]:
+        """Part files of a table, after their checksums were verified.
+
+        Parameters
+        ----------
+        name
+            Name of the table.
+        steps
+            First and last step that are asked for. A table without steps has all of its parts.
+        """
         self.require(name)
         paths = self._paths(name)
+        if steps is not None and TABLES[name].key[0] == "step":
+            first, last = steps
+            parts = zip(self.inventory.of(name), paths, strict=True)
+            paths = [path for part, path in parts if part.has_any_of(first, last)]
         for path in paths:
             self._check(path)
         return paths
@@ -428,10 +452,10 @@ class Run:
         name = f"{path.parent.name}/{path.name}"
         if name in self._sound:
             return
-        parts = {part.name: part for part in self.inventory.of(path.parent.name)}
-        if name not in parts:
+        part = self.inventory.by_name.get(name)
+        if part is None:
             self._found_damaged(f"{name} is not in the inventory")
-        if problem := content_problem(path.parent.parent, parts[name]):
+        if problem := content_problem(path.parent.parent, part):
             self._found_damaged(problem)
         self._sound.add(name)
 
@@ -474,7 +498,7 @@ class Run:
             "pseudonyms by number", lambda: self.table("pseudonyms", ["pseudonym"]).pseudonym.to_numpy()
         )
 
-    def _found_damaged(self, problem: str, then: str = "") -> None:
+    def _found_damaged(self, problem: str, then: str = "") -> NoReturn:
         then = then or f"`cosim verify {self.path}` lists all that is wrong."
         message = f"{self.path} is damaged: {problem}. {then}"
         if message not in self.damage:

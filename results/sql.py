@@ -23,6 +23,9 @@ _CONFIG: dict[str, Any] = {
     "python_enable_replacements": False,
 }
 
+Steps = tuple[int, int]
+"""The first and the last one."""
+
 _SUBJECTS = """
 SELECT p.*, v.role, v.attack_start_step FROM pseudonyms p JOIN vehicles v USING (vehicle) WHERE v.role IS NOT NULL
 """
@@ -35,18 +38,19 @@ class Database:
     def __init__(
         self,
         tables: Sequence[str],
-        files: Callable[[str], list[Path]],
+        files: Callable[[str, Steps | None], list[Path]],
         require: Callable[..., None],
         folders: Sequence[Path],
     ) -> None:
-        """Names of the tables, where the files of a table are, what says that a table is missing, and all folders."""
+        """Names of the tables, where the files of a table and of steps are, what says that a table is missing, and all
+        folders."""
         self._tables, self._files, self._require = tables, files, require
         self._connection = duckdb.connect(config=_CONFIG)
         self._connection.execute(f"SET allowed_directories = {_listed([*map(str, folders), *map(_itself, folders)])}")
         self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
 
-    def answer(self, query: str, values: Mapping[str, Any]) -> pd.DataFrame:
-        """As `Run.sql`, with these values of all names."""
+    def answer(self, query: str, values: Mapping[str, Any], steps: Steps | None = None) -> pd.DataFrame:
+        """As `Run.sql`, with these values of all names; as `Run.sql_of_steps` if there are steps."""
         words = set(re.findall(r"\w+", query))
         asked = [name for name in TABLES if name in words]
         try:
@@ -54,7 +58,7 @@ class Database:
                 raise ValueError(f"{' '.join(query.split())!r} is no single SELECT: tables can only be read.")
             for name in (*asked, *(("vehicles", "pseudonyms") if "subjects" in words else ())):
                 if name in self._tables:
-                    self._show(name, query)
+                    self._show(name, query, steps)
             if "subjects" in words:
                 self._connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
             wanted = re.findall(r"\$(\w+)", query)
@@ -90,16 +94,17 @@ class Database:
         except duckdb.Error as error:
             raise _refusal(error) from None
 
-    def _show(self, name: str, query: str) -> None:
+    def _show(self, name: str, query: str, steps: Steps | None) -> None:
         """Make a table visible by its name, with the columns that are not on disk if the query may ask for them."""
-        files = self._files(name)
+        files = self._files(name, steps)
         if not files:
-            self._connection.register(name, schema(name, whole=True).empty_table())
+            self._connection.register(f"no_{name}", schema(name, whole=True).empty_table())
+            self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS SELECT * FROM no_{name}")
             return
         table, stored = TABLES[name], _stored(name, files)
         is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
         if virtual := table.virtual(list(table.columns) if is_all else (), query):
-            self._show("detections", "")
+            self._show("detections", "", None)
             stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
 

@@ -42,6 +42,17 @@ def test_values_and_subjects_by_hand(tiny):
     assert found.time_s.tolist() == [4 * run.dt_s] * 2
 
 
+def test_of_some_steps_only_their_blocks_are_read(tiny):
+    """Blocks have ten steps. A table without steps has all of its rows, and the next question sees all blocks again."""
+    run = tiny(40, vehicles=fleet("honest"), trust=[{"step": step, "trust": 0.5} for step in range(0, 40, 5)])
+    query = "SELECT step, $first AS first, $last AS last, (SELECT count(*) FROM vehicles) AS n FROM trust ORDER BY ALL"
+    found = run.sql_of_steps(query, 12, 20)
+    assert found.step.tolist() == [10, 15, 20, 25]
+    assert found[["first", "last", "n"]].drop_duplicates().values.tolist() == [[12, 20, 1]]
+    assert run.sql("SELECT count(*) AS n FROM trust").n.item() == 8
+    assert run.sql_of_steps("SELECT * FROM trust", 40, 50).empty
+
+
 @pytest.mark.parametrize(
     ("query", "says"),
     [

@@ -8,6 +8,7 @@ a bridge and the street below. Definitions follow SUMO's SSM device, against whi
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -30,8 +31,10 @@ _SEGMENT_M, _PET_S = 12.0, 5.0
 is looked for."""
 _FASTEST_MPS = 60.0
 """Ways that are faster, and longer than `_SEGMENT_M`, are jumps."""
-_STRETCH = 600.0
+_STRETCH = 120.0
 """Length of the stretches of time that are searched one after another, in the unit of scaled time."""
+_ROWS = 20_000
+"""Poses of whole steps that are compared at once."""
 
 
 _TRACKS = """
@@ -65,29 +68,37 @@ def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANG
     over twice the gap).
     """
     poses = tracks(run) if poses is None else poses
-    parts = [_leaders(step, frame, range_m) for step, frame in _steps(poses)]
-    return pd.concat(parts, ignore_index=True) if parts else _leaders(0, poses, range_m)
+    parts = [_leaders(at, range_m) for at in _stretches(poses)]
+    return pd.concat(parts, ignore_index=True)
 
 
-def _steps(poses: pd.DataFrame) -> Iterator[tuple[int, dict[str, ndarray]]]:
+def _stretches(poses: pd.DataFrame) -> Iterator[dict[str, ndarray]]:
+    """Columns of whole steps, about `_ROWS` rows at once. There is one stretch at least, without rows if need be."""
     columns = {name: poses[name].to_numpy() for name in poses.columns}
-    step = columns["step"]
-    cuts = np.flatnonzero(np.diff(step)) + 1
-    edges = [0, *cuts.tolist(), len(step)] if len(step) else []
+    first_of_steps = np.flatnonzero(first_rows(columns["step"]))
+    number = first_of_steps // _ROWS
+    begins = first_of_steps[first_rows(number)]
+    edges = [0, *begins[1:].tolist(), len(poses)]
     for begin, end in pairwise(edges):
-        at = {name: column[begin:end] for name, column in columns.items()}
-        yield int(step[begin]), at
+        yield {name: column[begin:end] for name, column in columns.items()}
 
 
-def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -> pd.DataFrame:
+def _pairs(step: ndarray, xy: Float[ndarray, "n 2"], reach_m: float) -> Int[ndarray, "p 2"]:
+    """Pairs of rows of one step that are at most `reach_m` apart."""
+    if len(xy) < 2:
+        return np.zeros((0, 2), int)
+    height = (step - step[0]) * (2 * reach_m + 1.0)  # each step lies in a plane of its own, out of reach of the others
+    return cKDTree(np.column_stack([xy, height])).query_pairs(reach_m, output_type="ndarray")
+
+
+def _leaders(at: dict[str, ndarray], range_m: float) -> pd.DataFrame:
+    """As `following`, of some steps."""
     xy = np.column_stack([at["x_m"], at["y_m"]]).astype(float)
     length, width, yaw, speed, ground = (
         np.asarray(at[name], float) for name in ("length_m", "width_m", "yaw_rad", "speed_mps", "ground_m")
     )
-    if len(xy) < 2:
-        pairs = np.zeros((0, 2), int)
-    else:
-        pairs = cKDTree(xy).query_pairs(range_m + length.max(), output_type="ndarray")
+    reach_m = np.hypot(range_m + length.max(initial=0.0), width.max(initial=0.0))
+    pairs = _pairs(at["step"], xy, float(reach_m))
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
     ahead, left = turned_by(-yaw[i], xy[j] - xy[i]).T
     along = np.cos(yaw[j] - yaw[i])
@@ -97,7 +108,8 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
     is_leader = (ahead > 0) & in_path & (along > _ALONG)
     leads = np.flatnonzero(is_leader & (gap <= range_m))
     gap = np.maximum(gap, 0.0)
-    leads = leads[np.lexsort((gap[leads], i[leads]))]
+    by_gap = np.lexsort((j[leads], gap[leads], i[leads]))
+    leads = leads[by_gap]
     nearest = leads[np.diff(i[leads], prepend=-1) > 0]
     i, j = i[nearest], j[nearest]
     gap, along = gap[nearest], along[nearest]
@@ -105,9 +117,9 @@ def _leaders(step: int, at: dict[str, ndarray] | pd.DataFrame, range_m: float) -
     with np.errstate(divide="ignore", invalid="ignore"):
         ttc = np.where(closing > 1e-6, gap / closing, np.nan)
         drac = np.where(closing > 1e-6, closing**2 / (2 * gap), 0.0)
-    actor = np.asarray(at["actor"])
+    actor = at["actor"]
     columns = {"actor": actor[i], "leader": actor[j], "gap_m": gap, "closing_mps": closing}
-    return pd.DataFrame({"step": np.full(len(i), step), **columns, "ttc_s": ttc, "drac_mps2": drac})
+    return pd.DataFrame({"step": at["step"][i], **columns, "ttc_s": ttc, "drac_mps2": drac})
 
 
 def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -120,33 +132,22 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     footprints, on straight ways, would overlap.
     """
     poses = tracks(run) if poses is None else poses
-    poses = poses.sort_values(["actor", "step"], kind="stable")
-    column = {name: poses[name].to_numpy(float) for name in poses.columns}
-    actor, step = poses.actor.to_numpy(), poses.step.to_numpy()
-    a = np.flatnonzero((np.diff(actor) == 0) & (np.diff(step) == 1))
-    xy = np.column_stack([column["x_m"], column["y_m"]])
-    way = np.diff(xy, axis=0)[a]
-    length = np.hypot(*way.T)
-    moves = (length > 0.1) & (length < max(_SEGMENT_M, _FASTEST_MPS * run.dt_s))
-    a, way, length = a[moves], way[moves], length[moves]
-    start = xy[a]
-    reach_m = max(_SEGMENT_M, length.max(initial=0.0))
+    ways = _ways(poses, run.dt_s)
+    reach_m = max(_SEGMENT_M, ways.long_m.max(initial=0.0))
     scale = reach_m / _PET_S
-    scaled_time = step[a] * run.dt_s * scale
-    near = _near(np.column_stack([start + way / 2, scaled_time]), reach_m)
-    found = [_crossing(pairs, actor[a], start, way, length) for pairs in near]
+    scaled_time = ways.step * run.dt_s * scale
+    near = _near(np.column_stack([ways.start_m + ways.way_m / 2, scaled_time]), reach_m)
+    found = [_crossing(pairs, ways) for pairs in near]
     nothing = np.zeros(0, int)
     i, j, u, v = map(np.concatenate, zip((nothing,) * 4, *found, strict=True))
-    one_road = np.flatnonzero(_on_one_road(column["ground_m"], a[i], a[j]))
+    one_road = np.flatnonzero(_on_one_road(ways.ground_m, i, j))
     i, j, u, v = i[one_road], j[one_road], u[one_road], v[one_road]
-    at_i = (step[a[i]] + u) * run.dt_s
-    at_j = (step[a[j]] + v) * run.dt_s
-    half_i_m = _half(column, a, way, length, i, j)
-    half_j_m = _half(column, a, way, length, j, i)
-    in_i = half_i_m * run.dt_s / length[i]
-    in_j = half_j_m * run.dt_s / length[j]
+    at_i = (ways.step[i] + u) * run.dt_s
+    at_j = (ways.step[j] + v) * run.dt_s
+    in_i = _half_m(ways, i, j) * run.dt_s / ways.long_m[i]
+    in_j = _half_m(ways, j, i) * run.dt_s / ways.long_m[j]
     i_first = at_i <= at_j
-    actor_i, actor_j = actor[a[i]], actor[a[j]]
+    actor_i, actor_j = ways.actor[i], ways.actor[j]
     frame = pd.DataFrame({
         "first": np.where(i_first, actor_i, actor_j),
         "second": np.where(i_first, actor_j, actor_i),
@@ -157,6 +158,42 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     two = pd.DataFrame(np.sort(frame[["first", "second"]].to_numpy(), axis=1))
     frame = frame[~two.duplicated().to_numpy()]
     return frame.sort_values(["first", "second"], ignore_index=True)
+
+
+class _Ways(NamedTuple):
+    """Ways of vehicles from one step to the next, by vehicle, then step."""
+
+    actor: Int[ndarray, "n"]
+    step: Int[ndarray, "n"]
+    """The first of the two."""
+    start_m: Float[ndarray, "n 2"]
+    way_m: Float[ndarray, "n 2"]
+    long_m: Float[ndarray, "n"]
+    """Length of the way."""
+    ground_m: Float[ndarray, "n"]
+    length_m: Float[ndarray, "n"]
+    """Length of the vehicle."""
+    width_m: Float[ndarray, "n"]
+
+
+def _ways(poses: pd.DataFrame, dt_s: float) -> _Ways:
+    """The ways of vehicles that move, without jumps."""
+    order = np.lexsort([poses.step, poses.actor])
+    actor = poses.actor.to_numpy()[order]
+    step = poses.step.to_numpy()[order]
+    goes_on = np.flatnonzero((np.diff(actor) == 0) & (np.diff(step) == 1))
+    xy = poses[["x_m", "y_m"]].to_numpy(float)
+    start = xy[order[goes_on]]
+    way = xy[order[goes_on + 1]] - start
+    length = np.hypot(*way.T)
+    moves = (length > 0.1) & (length < max(_SEGMENT_M, _FASTEST_MPS * dt_s))
+    start, way, length = start[moves], way[moves], length[moves]
+    rows = goes_on[moves]
+    actor, step = actor[rows], step[rows]
+    begins = order[rows]
+    sizes = poses[["ground_m", "length_m", "width_m"]].iloc[begins]
+    ground_m, length_m, width_m = sizes.to_numpy(float).T
+    return _Ways(actor, step, start, way, length, ground_m, length_m, width_m)
 
 
 def _on_one_road(ground_m: ndarray, i: Int[ndarray, "p"], j: Int[ndarray, "p"]) -> Bool[ndarray, "p"]:
@@ -174,20 +211,21 @@ def _near(points: Float[ndarray, "n 3"], reach_m: float) -> Iterator[Int[ndarray
             yield rows[cKDTree(points[rows]).query_pairs(reach_m, output_type="ndarray")]
 
 
-def _crossing(
-    pairs: Int[ndarray, "p 2"], actor: ndarray, start: ndarray, way: ndarray, length: ndarray
-) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+def _crossing(pairs: Int[ndarray, "p 2"], ways: _Ways) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Pairs of ways of different vehicles that intersect, and where on each, as a share of it."""
     i, j = pairs.T
-    dot = np.sum(way[i] * way[j], axis=1)
-    cosine = dot / (length[i] * length[j])
-    keep = (actor[i] != actor[j]) & (cosine < _CROSSING)
-    i, j = i[keep], j[keep]
-    det = _cross(way[i], way[j])
-    between = start[j] - start[i]
+    of_two = ways.actor[i] != ways.actor[j]
+    i, j = i[of_two], j[of_two]
+    dot = np.sum(ways.way_m[i] * ways.way_m[j], axis=1)
+    cosine = dot / (ways.long_m[i] * ways.long_m[j])
+    crosses = cosine < _CROSSING
+    i, j = i[crosses], j[crosses]
+    way_i, way_j = ways.way_m[i], ways.way_m[j]
+    det = _cross(way_i, way_j)
+    between = ways.start_m[j] - ways.start_m[i]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = _cross(between, way[j]) / det
-        v = _cross(between, way[i]) / det
+        u = _cross(between, way_j) / det
+        v = _cross(between, way_i) / det
     inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     return i[inside], j[inside], u[inside], v[inside]
 
@@ -198,14 +236,12 @@ def _cross(a: Float[ndarray, "n 2"], b: Float[ndarray, "n 2"]) -> Float[ndarray,
     return ax * by - ay * bx
 
 
-def _half(
-    column: dict[str, ndarray], a: ndarray, way: ndarray, length: ndarray, row: ndarray, other: ndarray
-) -> ndarray:
+def _half_m(ways: _Ways, row: ndarray, other: ndarray) -> Float[ndarray, "p"]:
     """Half the way on which a vehicle's footprint is in the common area: its length and the other's width, slanted."""
-    area = np.abs(_cross(way[row], way[other]))
-    sine = area / (length[row] * length[other])
-    slanted_m = column["width_m"][a[other]] / np.maximum(sine, 0.5)
-    return (column["length_m"][a[row]] + slanted_m) / 2
+    area = np.abs(_cross(ways.way_m[row], ways.way_m[other]))
+    sine = area / (ways.long_m[row] * ways.long_m[other])
+    slanted_m = ways.width_m[other] / np.maximum(sine, 0.5)
+    return (ways.length_m[row] + slanted_m) / 2
 
 
 def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) -> pd.DataFrame:
@@ -218,23 +254,22 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
     """
     poses = tracks(run) if poses is None else poses
     found = []
-    for step, at in _steps(poses):
+    for at in _stretches(poses):
         xy = np.column_stack([at["x_m"], at["y_m"]]).astype(float)
         reach = np.hypot(at["length_m"], at["width_m"]).astype(float)
-        if len(xy) < 2:
-            continue
-        i, j = cKDTree(xy).query_pairs(reach.max(), output_type="ndarray").T
+        i, j = _pairs(at["step"], xy, float(reach.max(initial=0.0))).T
         apart = xy[i] - xy[j]
         close = np.hypot(*apart.T) < (reach[i] + reach[j]) / 2
         close &= _on_one_road(at["ground_m"], i, j)
         i, j = i[close], j[close]
         fastest_mps = np.maximum(at["speed_mps"][i], at["speed_mps"][j])
         hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)
-        one, other = at["actor"][i[hit]], at["actor"][j[hit]]
-        lower, higher = np.minimum(one, other), np.maximum(one, other)
+        i, j = i[hit], j[hit]
+        actor, step = at["actor"], at["step"][i]
+        lower = np.minimum(actor[i], actor[j])
+        higher = np.maximum(actor[i], actor[j])
         found.append(pd.DataFrame({"a": lower, "b": higher, "step": step}))
-    no_pairs = pd.DataFrame({"a": [], "b": [], "step": []}, dtype=int)
-    frame = pd.concat(found, ignore_index=True) if found else no_pairs
+    frame = pd.concat(found).sort_values("step", kind="stable")
     return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
 
 

@@ -109,29 +109,35 @@ def bounds(run: Run) -> pd.DataFrame:
         return pd.DataFrame()
     who = watched(run)
     role = who.role.astype(str).to_numpy()
+    counts = _counts(run, who)
     rows = []
     for one in run.role_labels:
         mine = np.flatnonzero((role == HONEST) | (role == one))
         if one == HONEST or not (role == one).any():
             continue
-        subjects, attacks = who.iloc[mine], role[mine] == one
-        known = area(_counts(run, subjects, known=True), attacks)
-        alone = area(_counts(run, subjects, known=False), attacks)
+        of_roles, attacks = counts[mine], role[mine] == one
+        known = area(_of_kinds(of_roles.reshape(len(mine), -1)), attacks)
+        alone = area(_of_kinds(of_roles.sum(axis=-1)), attacks)
         known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
         row: dict[str, object] = {"role": one}
         rows.append(row | intervals.columns(known, "known") | intervals.columns(alone, "alone"))
     return pd.DataFrame(rows)
 
 
-def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
-    """The clues about these subjects while they are watched, by kind."""
+def _of_kinds(counts: Int[ndarray, "s c"]) -> Int[ndarray, "s k"]:
+    """Counts of the kinds of which there is a clue about any subject."""
+    return counts[:, counts.any(axis=0)]
+
+
+def _counts(run: Run, who: pd.DataFrame) -> Int[ndarray, "s c 2"]:
+    """The clues about these subjects while they are watched, by kind, and by whether the other one is an attacker."""
     run.require("evaluations")
     stride = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
     since, until = who.since.to_numpy(), who.until.to_numpy()
     attackers = run.subjects.index[run.subjects.role != HONEST]
-    n_received = len(EvaluationKind) * _N_BINS * 2
+    n_received = len(EvaluationKind) * _N_BINS
     n_kinds = n_received * (1 + _N_OTHERS)
-    counts = np.zeros(len(who) * n_kinds, np.int64)
+    counts = np.zeros(len(who) * n_kinds * 2, np.int64)
     names = ["step", "evaluator", "observer", "detection_index", "detection_step", "kind", "evaluation", "visibility"]
     # Others may evaluate the same detection in another step, and so in another block.
     parts = run.parts("evaluations", names, pc.field("visibility") > 0)
@@ -146,19 +152,16 @@ def _counts(run: Run, who: pd.DataFrame, known: bool) -> Int[ndarray, "s c"]:
     claim = clues.assign(kind=kind).groupby(["detection_step", "observer", "detection_index", "kind"], sort=False)
     others = _of_others(claim.ngroup().to_numpy(), said)
     others[kind == EvaluationKind.MISSING] = 0  # each evaluator counts objects in an order of its own
-    by_attacker = clues.evaluator.isin(attackers).to_numpy() & known
-    of_attacker = clues.observer.isin(attackers).to_numpy() & known
-    received = value * 2 + by_attacker
-    made = n_received + (value * _N_OTHERS + others) * 2 + of_attacker
+    made = n_received + value * _N_OTHERS + others
     step = clues.step.to_numpy()
-    for name, cell in (("observer", received), ("evaluator", made)):
+    for name, other, cell in (("observer", "evaluator", value), ("evaluator", "observer", made)):
         subject = who.index.get_indexer(pd.Index(clues[name]))
         is_watched = (since[subject] <= step) & (step <= until[subject])
         rows = np.flatnonzero((subject >= 0) & is_watched)
-        kinds = subject[rows] * n_kinds + cell[rows]
+        by_attacker = clues[other].isin(attackers).to_numpy()[rows]
+        kinds = (subject[rows] * n_kinds + cell[rows]) * 2 + by_attacker
         counts += np.bincount(kinds, minlength=len(counts))
-    by_subject = counts.reshape(len(who), n_kinds)
-    return by_subject[:, by_subject.any(axis=0)]
+    return counts.reshape(len(who), n_kinds, 2)
 
 
 def _of_others(claim: Int[ndarray, "n"], said: Float[ndarray, "n"]) -> Int[ndarray, "n"]:

@@ -104,15 +104,22 @@ def of_blocks(run: Run, query: str) -> pd.DataFrame:
     Parameters
     ----------
     query
-        Asks for the evaluations of the steps from `$first` to `$last`. It may count one in `$every` of something, so
-        that not many more count than suffice.
+        Asks for the evaluations of the steps from `$begin` to `$last`; their detections are of the steps from `$first`
+        to `$last`. It may count one in `$every` of something, so that not many more count than suffice.
     """
     run.require("evaluations", "detections")
     every = sampling_stride(run, -(-run.n_rows("evaluations") // _MOST_ROWS))
-    parts = run.inventory.of("evaluations")
-    return pd.concat(
-        [run.sql(query, every=every, first=part.first_step, last=part.last_step) for part in parts], ignore_index=True
-    )
+    found = []
+    for part in run.inventory.of("evaluations"):
+        begin, last = part.first_step, part.last_step
+        first = run.sql_of_steps(_EARLIEST, begin, last).first.item()
+        found.append(run.sql_of_steps(query, min(first, begin), last, begin=begin, every=every))
+    return pd.concat(found, ignore_index=True)
+
+
+_EARLIEST = """
+SELECT coalesce(min(detection_step), $first) AS first FROM evaluations WHERE step BETWEEN $first AND $last
+"""
 
 
 def _bins(value: str, edges: tuple[float, ...], unit: str) -> str:
@@ -132,12 +139,12 @@ _GROUPS = " UNION ALL ".join(
     )
 )
 _QUERY = f"""
-WITH said AS (
+WITH said AS MATERIALIZED (
     SELECT e.*, vehicle FROM evaluations e JOIN subjects s ON s.pseudonym = e.evaluator AND s.role = '{HONEST}'
     WHERE e.visibility > 0 AND NOT e.lied AND e.kind = 'detection' AND e.step % $every = 0
-        AND e.step BETWEEN $first AND $last
+        AND e.step BETWEEN $begin AND $last
 ), made AS (
-    SELECT * FROM detections WHERE step BETWEEN (SELECT min(detection_step) FROM said) AND $last
+    SELECT * FROM detections WHERE step BETWEEN $first AND $last
 ), looked AS MATERIALIZED (
     SELECT s.vehicle,
         CASE WHEN d.origin = 'self' THEN '{KINDS[0]}' WHEN d.origin = 'fabricated' THEN '{KINDS[3]}'
@@ -148,7 +155,7 @@ WITH said AS (
         s.evaluation < 0 AS denied, s.evaluation > 0 AS confirmed, s.evaluation < 0 AND own.step IS NULL AS missed
     FROM said s
     JOIN made d ON d.step = s.detection_step AND d.observer = s.observer AND d.detection_index = s.detection_index
-    JOIN actors a ON a.step = s.step AND a.actor = s.vehicle
+    JOIN (SELECT * FROM actors WHERE step BETWEEN $begin AND $last) a ON a.step = s.step AND a.actor = s.vehicle
     JOIN subjects of ON of.pseudonym = s.observer
     LEFT JOIN (SELECT DISTINCT step, observer, truth_actor FROM made WHERE origin = 'sensed') own
         ON own.step = s.step AND own.observer = s.evaluator AND own.truth_actor = d.truth_actor

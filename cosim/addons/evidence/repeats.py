@@ -102,11 +102,12 @@ _QUERY = """
 SELECT e.step, coalesce(s.vehicle, -1 - e.evaluator) AS evaluator, e.observer AS subject, d.truth_actor AS actor,
     e.evaluation < 0 AS denies, e.detection_step
 FROM evaluations e
-JOIN (SELECT * FROM detections WHERE step <= $last AND transmitted AND truth_actor IS NOT NULL) d
-    ON d.step = e.detection_step AND d.observer = e.observer AND d.detection_index = e.detection_index
+JOIN (
+    SELECT * FROM detections WHERE step BETWEEN $first AND $last AND transmitted AND truth_actor IS NOT NULL
+) d ON d.step = e.detection_step AND d.observer = e.observer AND d.detection_index = e.detection_index
 LEFT JOIN subjects s ON s.pseudonym = e.evaluator
 JOIN subjects o ON o.pseudonym = e.observer
-WHERE e.step BETWEEN $first AND $last AND e.visibility > 0 AND e.kind = 'detection' AND e.observer % $every = 0
+WHERE e.step BETWEEN $begin AND $last AND e.visibility > 0 AND e.kind = 'detection' AND e.observer % $every = 0
     AND coalesce(s.vehicle, -1 - e.evaluator) IS DISTINCT FROM o.vehicle
 ORDER BY e.step, e.evaluator, e.observer, e.detection_index, e.detection_step
 """

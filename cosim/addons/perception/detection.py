@@ -123,12 +123,12 @@ def awareness(
         raise run.lacks("objects to know", f"no honest vehicle ever had an actor within {range_m:g} m.")
     rows = []
     for which in with_boxes(run, tuple(TABLE_OF)):
-        is_real = pc.field("truth_actor").is_valid()
-        good = (pc.field("score") >= min_score) & is_real & at_steps(steps)
+        good = (pc.field("score") >= min_score) & at_steps(steps)
         columns = ["step", "observer", "truth_actor", *(["origin"] if which == "local" else [])]
         known = observed_by_vehicle(run, which, columns, good)
         if which == "local":
             known = known[known.origin == "sensed"]
+        known = known[known.truth_actor.notna()]  # not in `good`: `fused` would look it up for all of its rows
         known = known[["step", "observer", "truth_actor"]].drop_duplicates().astype(np.int64)
         key = pd.MultiIndex.from_frame(around[["step", "observer", "actor"]])
         seen = key.isin(pd.MultiIndex.from_frame(known))

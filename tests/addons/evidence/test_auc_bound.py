@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from cosim.addons.evidence.auc_bound import _counts, area
+from cosim.addons.evidence.auc_bound import _counts, _of_kinds, area
 from tests.results.tiny import fleet, make
 
 N = 500
@@ -63,6 +63,11 @@ def test_order_of_subjects_and_of_kinds_does_not_matter():
     assert area(counts[rows][:, columns], attacks[rows]).value == pytest.approx(area(counts, attacks).value, abs=1e-12)
 
 
+def kinds(run, who):
+    """Clues of the kinds that there are, for an observer who knows the roles of all."""
+    return _of_kinds(_counts(run, who).reshape(len(who), -1))
+
+
 def test_what_others_say_of_a_detection_counts_in_whichever_step(tmp_path):
     """Vehicles 1 and 2 evaluate a detection of vehicle 0, in one step or ten steps apart: in another block of rows."""
 
@@ -72,7 +77,7 @@ def test_what_others_say_of_a_detection_counts_in_whichever_step(tmp_path):
         rows = [first, {**said, "step": later, "evaluator": 2, "evaluation": -1.0}]
         (tmp_path / name).mkdir()
         run = make(tmp_path / name, 20, vehicles=fleet("honest", "honest", "malicious"), evaluations=rows)
-        return _counts(run, pd.DataFrame({"since": [0, 0, 0], "until": 19}), True)
+        return kinds(run, pd.DataFrame({"since": [0, 0, 0], "until": 19}))
 
     together = clues("together", 1)
     assert together.shape[1] == 4  # two received, two made
@@ -85,7 +90,7 @@ def test_a_roadside_unit_is_no_attacker(tmp_path):
     rows = [{**said, "detection_index": k, "evaluator": by} for k, by in enumerate((1, 2))]
     run = make(tmp_path, 20, vehicles=fleet("honest", "honest", None, "malicious"), evaluations=rows)
     who = pd.DataFrame({"since": 0, "until": 19}, [0, 1, 3])
-    assert _counts(run, who, True).tolist() == [[2, 0], [0, 1], [0, 0]]
+    assert kinds(run, who).tolist() == [[2, 0], [0, 1], [0, 0]]
 
 
 def test_clues_after_the_last_step_of_a_subject_do_not_count(tmp_path):
@@ -93,4 +98,4 @@ def test_clues_after_the_last_step_of_a_subject_do_not_count(tmp_path):
     said = {"observer": 0, "evaluator": 1, "detection_step": 4, "visibility": 1.0, "evaluation": 0.7}
     run = make(tmp_path, 20, vehicles=fleet("honest", "honest"), evaluations=[{**said, "step": s} for s in (4, 6)])
     who = pd.DataFrame({"since": 0, "until": [4, 19]})
-    assert _counts(run, who, True).tolist() == [[1, 0], [0, 2]]
+    assert kinds(run, who).tolist() == [[1, 0], [0, 2]]
