@@ -187,7 +187,7 @@ def _cycle(
             kept_s = memory_s(parts.driver) + parts.schedule.longest_steps * config.traffic.step_s
             reaction_truth = reaction_truth.next(exchange, listed, kept_s, config.traffic.step_s)
     with watch("track"):
-        rounds = tracking.without_late_copies(rounds, exchange)
+        rounds = tracking.without_late_copies(rounds, exchange, s.inbox)
         attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, rounds)
         encounters = tracking.count_in_encounters(s.encounters, exchange, rounds, looked_up, known, compared)

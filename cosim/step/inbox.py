@@ -90,7 +90,7 @@ class Inbox:
         """
         inbox = self
         for messages in late:
-            row, is_there = self._rows(messages.step, messages.sender)
+            row, is_there = self.rows(messages.step, messages.sender)
             found = messages.links.vehicles
             mine = is_there[found.message]
             receiver, message = found.receiver[mine], found.message[mine]
@@ -101,7 +101,7 @@ class Inbox:
                 inbox = replace(inbox, reports=_with_new(inbox.reports, more, len(self.step)))
         return inbox
 
-    def _rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
+    def rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
         """Rows of messages by their steps and senders, and which of them are there."""
         oldest = int(self.step[0]) if len(self.step) else 0
         held = (self.step - oldest << 48) + self.sender

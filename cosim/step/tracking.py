@@ -12,6 +12,7 @@ from cosim.step.broadcast import Broadcast
 from cosim.step.comparing import Compared
 from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Exchange
+from cosim.step.inbox import Inbox
 from cosim.step.known import Known
 from cosim.step.late import LateMessages
 from cosim.step.listing import Listed
@@ -96,50 +97,68 @@ def late_of(rounds: Rounds, kind: RoundKind, clouds: bool = False) -> list[LateM
     return [messages for messages in late if messages.kind == kind]
 
 
-def without_late_copies(rounds: Rounds, exchange: Exchange) -> Rounds:
-    """The rounds, in which no vehicle receives a late copy of a message that it has received in this step.
+def without_late_copies(rounds: Rounds, exchange: Exchange, inbox: Inbox) -> Rounds:
+    """The rounds, in which no vehicle receives a late copy of a detection message that it has already.
 
-    Late copies of a message are messages of their own (`LateMessages`), and an attacker may send many.
+    Late copies of a message are messages of their own (`LateMessages`), and an attacker may send many. `inbox` has the
+    messages of earlier steps and who received them before this step.
     """
-    step = exchange.now.step
-    has_copies = any((messages.step == step).any() for broadcast in rounds for messages in broadcast.late)
-    if exchange.sending is None or not has_copies:
+    late = late_of(rounds, RoundKind.CPM)
+    if not late:
         return rounds
-    seen = {kind: _of_this_step(rounds[kind], exchange) for kind in RoundKind}
+    numbers = [_numbers(messages, exchange, inbox) for messages in late]
+    seen = _received(rounds[RoundKind.CPM], np.concatenate(numbers), exchange, inbox)
     found = []
     for broadcast in rounds:
-        late = []
+        kept = []
         for messages in broadcast.late:
-            first, codes = _first_receptions(messages, step, seen[messages.kind])
-            seen[messages.kind] = np.append(seen[messages.kind], codes)
-            links = messages.links._replace(vehicles=messages.links.vehicles.take(first))
-            late.append(replace(messages, links=links))
-        found.append(replace(broadcast, late=tuple(late)))
+            if messages.kind == RoundKind.CPM:
+                first, codes = _first_receptions(messages, numbers.pop(0), seen)
+                seen = np.append(seen, codes)
+                links = messages.links._replace(vehicles=messages.links.vehicles.take(first))
+                messages = replace(messages, links=links)
+            kept.append(messages)
+        found.append(replace(broadcast, late=tuple(kept)))
     return found[0], found[1]
 
 
-def _of_this_step(broadcast: Broadcast, exchange: Exchange) -> Int[ndarray, "r"]:
-    """A number for each message of this step and vehicle that received it."""
-    received = broadcast.links.vehicles
-    return exchange.sender[received.message] << _ROW_BITS | received.receiver
+def _numbers(messages: LateMessages, exchange: Exchange, inbox: Inbox) -> Int[ndarray, "m"]:
+    """A number for each message: its row in the inbox, behind which follow those of this step; -1 if unknown."""
+    row, is_earlier = inbox.rows(messages.step, messages.sender)
+    now, is_now = rows_of(messages.sender, exchange.sender)
+    is_now &= messages.step == exchange.now.step
+    row = np.where(is_now, len(inbox.step) + now, row)
+    return np.where(is_now | is_earlier, row, -1)
+
+
+def _received(broadcast: Broadcast, asked: Int[ndarray, "m"], exchange: Exchange, inbox: Inbox) -> Int[ndarray, "r"]:
+    """A number for each message and vehicle that received it in its own round, or in an earlier step if it is asked."""
+    is_asked = np.zeros(len(inbox.step) + len(exchange.senders), bool)
+    is_asked[asked[asked >= 0]] = True
+    held = inbox.cpms
+    rows = np.flatnonzero(is_asked[held.message])
+    receiver, is_there = rows_of(held.receiver[rows], exchange.vehicles.actor)
+    before = held.message[rows[is_there]] << _ROW_BITS | receiver[is_there]
+    now = broadcast.links.vehicles
+    return np.append(before, len(inbox.step) + now.message << _ROW_BITS | now.receiver)
 
 
 def _first_receptions(
-    messages: LateMessages, step: int, seen: Int[ndarray, "r"]
+    messages: LateMessages, number: Int[ndarray, "m"], seen: Int[ndarray, "r"]
 ) -> tuple[Int[ndarray, "k"], Int[ndarray, "c"]]:
-    """Rows of receptions that are no copies, and the numbers of those of this step, as in `_of_this_step`.
+    """Rows of receptions that are no copies, and the numbers of those of known messages, as in `_received`.
 
-    Messages of earlier steps, and those that are not accepted, are kept as they are.
+    Receptions of unknown messages, such as those that are not accepted, are kept as they are.
     """
     received = messages.links.vehicles
-    sender = messages.sender[received.message]
-    is_asked = (messages.step[received.message] == step) & (sender >= 0)
+    of_message = number[received.message]
+    is_known = of_message >= 0
     by_time = np.argsort(received.received_s, kind="stable")
-    by_time = by_time[is_asked[by_time]]
-    codes = sender << _ROW_BITS | received.receiver
+    by_time = by_time[is_known[by_time]]
+    codes = of_message << _ROW_BITS | received.receiver
     found, first = np.unique(codes[by_time], return_index=True)
     is_new = ~np.isin(found, seen)
-    is_kept = ~is_asked
+    is_kept = ~is_known
     is_kept[by_time[first[is_new]]] = True
     return np.flatnonzero(is_kept), found[is_new]
 

@@ -427,13 +427,19 @@ def test_denial_of_service():
 
 
 def test_late_copies_count_once(tmp_path):
-    """With random phases, rounds are short, and a hundred copies go on in the next one."""
-    flood = ("attacks.0.attack=denial_of_service", "attacks.0.start_s=0", "traffic.duration_s=2")
+    """With random phases, rounds are short, and the copies go on in the next ones, also in later steps."""
+    flood = (
+        "attacks.0.attack=denial_of_service",
+        "attacks.0.n_copies=500",
+        "attacks.0.start_s=0",
+        "traffic.duration_s=2",
+    )
     run = open_run(drive(tmp_path / "run", "preset=modern", "record.level=full", *flood))
     n = len(run.receptions)
     assert run.radio.n_delivered.sum() > 2 * n > 0
     assert run.vehicle_channel.n_received.sum() == n
     assert run.latency_histogram.n_delivered.sum() == n
+    assert not run.receptions.duplicated(["message_step", "message_type", "sender", "receiver"]).any()
 
 
 @pytest.mark.verify
