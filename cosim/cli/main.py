@@ -328,7 +328,7 @@ def measure(
     import pandas as pd
 
     from cosim.cli.own_metrics import own_metrics, refuse_other_groups, split_metrics, with_metrics
-    from cosim.cli.side_by_side import engines_remark, of_variants, print_measures
+    from cosim.cli.side_by_side import of_variants, print_measures, remarks
     from results.measure import measure as all_metrics
 
     own, shipped = split_metrics(metrics or [])
@@ -350,7 +350,7 @@ def measure(
         if table.empty:
             notes.print(f"note: {run.path} has no value of {', '.join(metrics or ())}.", soft_wrap=True)
     print_measures(chosen, tables, as_json, csv)
-    if remark := engines_remark(chosen):
+    for remark in remarks(chosen):
         notes.print(remark, soft_wrap=True)
     _say_damage(chosen)
 

@@ -1,5 +1,6 @@
 """Print metrics of one or several runs as tables, or write them to a file."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +73,15 @@ def _one_table(runs: list[Run], tables: list[pd.DataFrame], keys: dict[str, list
     return whole[[*first, *whole.columns.drop(first)]]
 
 
-def engines_remark(runs: list[Run]) -> str:
-    """A note when the runs used different ray casters; empty otherwise."""
+def remarks(runs: list[Run]) -> Iterator[str]:
+    """Notes on what differs between the runs, and may be overlooked: ray casters, and times that were simulated."""
     engines = sorted({str(run.config.get("lidar", {}).get("engine", "columnar")) for run in runs})
-    return "" if len(engines) < 2 else f"note: the runs were cast by {' and '.join(engines)}: {ENGINES_DIFFER}"
+    if len(engines) > 1:
+        yield f"note: the runs were cast by {' and '.join(engines)}: {ENGINES_DIFFER}"
+    lengths_s = sorted({run.manifest["steps"] * run.dt_s for run in runs})
+    if len(lengths_s) > 1 and "traffic.duration_s" not in differing(runs):
+        said = " and ".join(f"{length_s:g}" for length_s in lengths_s)
+        yield f"note: the runs have one traffic.duration_s, but simulated {said} s: counts and times grow with that."
 
 
 def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> Table:

@@ -5,6 +5,7 @@ import pytest
 
 from cosim.cli import console
 from cosim.cli.console import _summary
+from cosim.cli.side_by_side import remarks
 from cosim.config.config import load
 from cosim.runs.run import run
 from results.archive import open_run
@@ -12,6 +13,7 @@ from results.figures.catalogue import FIGURES
 from results.measure import measure
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
+from tests.results.tiny import fleet, make
 
 NAN = float("nan")
 
@@ -140,3 +142,17 @@ def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys)
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
     console.print_run_summary(folder, as_json=False)
     assert "none: the config defines no [[encounters]]" in capsys.readouterr().out
+
+
+def test_runs_of_one_config_that_simulated_different_times_are_noted(tmp_path):
+    """One ended early. Where the config asks for different times, its key stands above the values."""
+    runs = []
+    for number, (steps, duration_s) in enumerate(((20, 20.0), (12, 20.0), (12, 12.0))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        config = {"traffic": {"duration_s": duration_s}}
+        runs.append(make(folder, steps, config, vehicles=fleet("honest")))
+    whole, short, other = runs
+    (note,) = remarks([whole, short, short])
+    assert "simulated 12 and 20 s" in note
+    assert not list(remarks([whole, whole])) and not list(remarks([whole, other]))
