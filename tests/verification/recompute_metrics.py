@@ -1,5 +1,6 @@
 """All metrics of a run again, from its Parquet files and the definitions of `results/TABLES.md` alone.
 
+It takes runs of every record level, with roadside units, `[[sensing_groups]]`, generation rules, and local trust.
 It shares no code with `results`: files are read with pandas, and every metric is written as its definition says.
 `python -m tests.verification.recompute_metrics RUN...` compares each with `cosim measure`. Not recomputed here: average
 precision (held against KITTI's devkit in `tests/addons/perception/test_kitti.py`), conflicts, overlaps and braking
@@ -63,6 +64,11 @@ def vehicles(of):
     return of.table("vehicles").set_index("vehicle")
 
 
+def interval_steps(of):
+    """Steps from one sweep of each equipped vehicle to its next one."""
+    return vehicles(of).sensing_interval_steps.dropna().astype(int)
+
+
 def on_road_steps(of):
     """Steps that each vehicle is on the road, by the poses of all steps where the run keeps them."""
     rows, who = of.table("actors"), vehicles(of)
@@ -110,7 +116,8 @@ def traffic(of):
     who = vehicles(of)
     time = on_road_steps(of)
     yield "duration_s", "", of.steps * of.dt_s
-    yield "actors.mean", "all", time[~who.sumo_id.str.startswith(("parked/", "object/"))].sum() / of.steps
+    is_traffic = ~who.sumo_id.str.startswith(("parked/", "object/", "roadside/"))
+    yield "actors.mean", "all", time[is_traffic].sum() / of.steps
     yield "actors.mean", "equipped", time[who.equipped].sum() / of.steps
     for role in of.manifest["roles"]:
         yield "equipped.n", role, (who.role[who.equipped] == role).sum()
@@ -144,6 +151,7 @@ def encounters(of):
 
 
 VALUE = ["step", "subject", "trust", "evaluated", "enough"]
+"""Columns of a value; `begins` is the first step of those that it is a mean of."""
 
 
 def values(of):
@@ -151,19 +159,20 @@ def values(of):
     frame = of.table("trust")
     if len(frame):
         n = frame.n_evaluations
-        frame = frame.assign(evaluated=n > 0, enough=n >= of.least)
+        frame = frame.assign(begins=frame.step, evaluated=n > 0, enough=n >= of.least)
     else:
         looked = of.table("trust_lookups")
         own = looked[(looked.source == "own") & (looked.n_evaluations > 0)]
-        interval = of.table("vehicles").sensing_interval_steps.max()
-        interval = int(interval) if interval == interval else 1
+        own = own[own.step <= own.subject.map(subjects(of).to_step)]
+        interval = max(interval_steps(of), default=1)
         last = looked.groupby(looked.step // interval).step.max()
         own = own.assign(step=(own.step // interval).map(last))
         frame = own.groupby(["step", "subject"], as_index=False)[["trust", "n_evaluations"]].mean()
-        frame = frame.assign(evaluated=True, enough=frame.n_evaluations >= of.least)
+        begins = frame.step // interval * interval
+        frame = frame.assign(begins=begins, evaluated=True, enough=frame.n_evaluations >= of.least)
     frame = frame.assign(trust=frame.trust.astype(float))
-    frame = frame[frame.step <= frame.subject.map(subjects(of).to_step)]
-    return frame.assign(role=frame.subject.map(subjects(of).role))[[*VALUE, "role"]]
+    frame = frame[frame.begins <= frame.subject.map(subjects(of).to_step)]
+    return frame.assign(role=frame.subject.map(subjects(of).role))[[*VALUE, "role", "begins"]]
 
 
 def watched(of):
@@ -177,9 +186,9 @@ def watched(of):
 def pairs(of):
     """Every step with values and every subject watched at it, with its value if it has one."""
     known, who = values(of), watched(of)
-    steps = pd.DataFrame({"step": np.sort(known.step.unique())})
+    steps = known[["step", "begins"]].drop_duplicates().sort_values("step")
     every = steps.merge(who.rename_axis("subject").reset_index()[["subject", "role", "since", "until"]], how="cross")
-    every = every[(every.since <= every.step) & (every.step <= every.until)]
+    every = every[(every.since <= every.step) & (every.begins <= every.until)]
     every = every.merge(known[VALUE], "left", on=["step", "subject"])
     return every.assign(evaluated=every.evaluated.eq(True), enough=every.enough.eq(True))
 
@@ -333,8 +342,8 @@ def security(of):
 def messages(of, sent, now):
     """Messages with detections of watched subjects: whether a detection lied, and whether its sender was excluded."""
     who = watched(of)
-    one = sent.groupby(["step", "observer"]).lied.any().reset_index()
-    one = one[one.observer.isin(who.index)]
+    one = sent.groupby(["step", "observer"])[["lied", "transmitted"]].any().reset_index()
+    one = one[one.observer.isin(who.index) & one.transmitted]  # of the others nothing was sent
     one = one[(one.step >= one.observer.map(who.since)) & (one.step <= one.observer.map(who.until))]
     flags = now.pivot(index="step", columns="subject", values="excluded")
     excluded = []
@@ -402,7 +411,8 @@ def evidence(of):
 
 def repeated(of, made, boxes):
     """What the same vehicle says again, counted with sets and lists of verdicts."""
-    vehicle = of.table("pseudonyms").set_index("pseudonym").vehicle.to_dict()
+    vehicle, role = subjects(of).vehicle.to_dict(), subjects(of).role
+    units = set(role.index[role.isna()])
     actor = {
         (step, by, index): int(who)
         for step, by, index, sent, who in boxes[["step", "observer", "detection_index", "transmitted", "truth_actor"]]
@@ -416,7 +426,8 @@ def repeated(of, made, boxes):
         strict=True,
     ):  # fmt: skip
         who = actor.get((sensed, subject, index))
-        if what != "detection" or seen <= 0 or who is None or vehicle[by] == vehicle[subject]:
+        is_own = vehicle[by] == vehicle[subject] or subject in units
+        if what != "detection" or seen <= 0 or who is None or is_own:
             continue
         n += 1
         one = vehicle[by], subject, who
@@ -447,7 +458,8 @@ def repeated(of, made, boxes):
 
 def ideal_observer(of, made):
     """Clues are counted with dictionaries, subject by subject."""
-    who, roles = watched(of), subjects(of).role
+    who, roles = watched(of), subjects(of).role.dropna()
+    attackers = set(roles.index[roles != "honest"])
     made = made[(made.visibility > 0) & (made.evaluator != made.observer)].copy()
     made["x"] = made.evaluation.astype(float) * made.visibility.astype(float)
     made["bin"] = [
@@ -467,9 +479,9 @@ def ideal_observer(of, made):
             for row in made.itertuples():
                 value = row.kind_number * 8 + row.bin
                 if row.observer in clues and some.since[row.observer] <= row.step <= some.until[row.observer]:
-                    clues[row.observer].append(value * 2 + (known and roles[row.evaluator] != "honest"))
+                    clues[row.observer].append(value * 2 + (known and row.evaluator in attackers))
                 if row.evaluator in clues and some.since[row.evaluator] <= row.step <= some.until[row.evaluator]:
-                    cell = 48 + (value * 3 + row.others) * 2 + (known and roles[row.observer] != "honest")
+                    cell = 48 + (value * 3 + row.others) * 2 + (known and row.observer in attackers)
                     clues[row.evaluator].append(cell)
             best = np.fmax(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
             yield name, role, best
@@ -528,6 +540,9 @@ def freshness(of):
         yield "encounters_without_trust.share", name, np.isnan(after_s).mean()
         yield "wait_in_encounter.median_s", name, np.median(after_s[after_s > 0]) if (after_s > 0).any() else np.nan
     looked = lookups(of)
+    if not len(looked):
+        yield from totals(of)
+        return
     for role, some in [("all", looked), *looked.groupby("role")]:
         for stored, state in STATE.items():
             yield "lookup_state.share", f"{state}, {role}", (some.state == stored).mean()
@@ -548,6 +563,18 @@ def freshness(of):
     yield "evaluators.mean", "", some.n_evaluators.astype(float).mean()
     for name in ("value", "newest_evaluation"):
         yield from sawtooth(of, looked, name)
+
+
+def totals(of):
+    """Shares of states and mean ages of all lookups, where single ones were not kept."""
+    by_state = of.table("lookup_totals").groupby("state").sum(numeric_only=True)
+    by_state = by_state.reindex(list(STATE), fill_value=0).astype(float)
+    for stored, state in STATE.items():
+        yield "lookup_state.share", f"{state}, all", by_state.n[stored] / by_state.n.sum()
+    n_known = by_state.n[["evaluated", "stale"]].sum()
+    for name, column in AGES.items():
+        n = by_state.n_valued.sum() if name == "value" else n_known
+        yield f"{name}_age.mean_s", "all", ratio(by_state[column.replace("_s", "_sum_s")].sum(), n)
 
 
 AGES = {
@@ -650,10 +677,9 @@ def detection(of):
         return
     equipped = who[who.equipped]
     honest = equipped[equipped.role == "honest"]
-    every = round(of.sensing_s / of.dt_s)
-    stride = max(1, -(-int(((honest.last_step - honest.first_step + 1) / every).sum()) // 4000))
-    first = (equipped.sensing_phase_steps if "sensing_phase_steps" in equipped else 0 * equipped.first_step).to_dict()
-    steps = sorted({step for phase in set(first.values()) for step in range(int(phase), of.steps, every)})
+    every, first = interval_steps(of), equipped.sensing_phase_steps.astype(int)
+    stride = max(1, -(-int(((honest.last_step - honest.first_step + 1) / every[honest.index]).sum()) // 4000))
+    steps = np.flatnonzero([((step - first) % every == 0).any() for step in range(of.steps)])
     steps = steps[stride // 2 :: stride]
     poses = of.table("actors")
     poses = poses[poses.step.isin(steps)]
@@ -678,7 +704,7 @@ def detection(of):
             xy = at[["x_m", "y_m"]].to_numpy(float)
             for i in np.flatnonzero(at.actor.isin(honest.index)):
                 me = at.actor.iloc[i]
-                if (step - first[me]) % every:
+                if (step - first[me]) % every[me]:
                     continue
                 near = np.hypot(*(xy - xy[i]).T) <= 70
                 around = [a for a in at.actor.to_numpy()[near] if a != me]
@@ -695,7 +721,7 @@ def attack(of):
     frame = frame[(frame.effect == "inserted") | ~frame.ego_detected.astype(bool)]
     frame = frame[frame.receiver.map(role) == "honest"].assign(score=frame.score.astype(float))
     frame = frame.assign(attacker=frame.observer.map(who.vehicle), role=frame.observer.map(who.role))
-    every = round(of.sensing_s / of.dt_s)
+    frame = frame.assign(every=frame.receiver.map(interval_steps(of)))
     for among in ("received", "intended"):
         chosen = frame if among == "received" else frame[frame.intended.astype(bool)]
         for (effect, attacker), some in chosen.groupby(["effect", "role"]):
@@ -708,15 +734,16 @@ def attack(of):
         lies = chosen[chosen.effect == "inserted"]
         for attacker, some in lies.groupby("role"):
             held = some[some.score >= 0.5]
-            yield "damage.total_s", f"{among}, {attacker}", len(held) * of.sensing_s
-            yield "damage.per_attacker_s", f"{among}, {attacker}", len(held) * of.sensing_s / some.attacker.nunique()
-            stretches, length = 0, 0
+            total_s = held.every.sum() * of.dt_s
+            yield "damage.total_s", f"{among}, {attacker}", total_s
+            yield "damage.per_attacker_s", f"{among}, {attacker}", total_s / some.attacker.nunique()
+            stretches, length_s = 0, 0.0
             for _, one in held.groupby(["attacker", "receiver"]):
-                steps = np.unique(one.step)
+                steps, every = np.unique(one.step), one.every.iloc[0]
                 stretches += 1 + int((np.diff(steps) > every).sum())
-                length += len(steps)
+                length_s += len(steps) * every * of.dt_s
             if stretches:
-                yield "believed_duration.mean_s", f"{among}, {attacker}", length * of.sensing_s / stretches
+                yield "believed_duration.mean_s", f"{among}, {attacker}", length_s / stretches
         if len(lies):
             wrong = lies.assign(wrong=lies.in_path.astype(bool) & (lies.score >= 0.5))
             n = wrong.groupby(["receiver", "step"]).wrong.sum()

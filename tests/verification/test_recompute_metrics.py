@@ -1,4 +1,4 @@
-"""All metrics of seven runs of three cities, central and local trust, against a script that shares no code."""
+"""All metrics of nine runs of three cities, central and local trust, against a script that shares no code."""
 
 import pytest
 
@@ -17,6 +17,14 @@ RUNS = {
         "traffic.step_s=0.5", "cpm.rules=etsi", "cpm.length=uper", "cpm.redundancy=dynamics", "cpm.max_objects=3",
     ),
     "helsinki, vehicles that sense at different times": ("preset=modern", "record.level=full", "traffic.step_s=0.2"),
+    "helsinki, roadside units, groups and generation rules": (
+        "preset=modern", "roadside=[{junctions=3, trusted=false}]", "sensing_interval_s=0.4", "cpm.rules=etsi",
+        "sensing_groups=[{share_p=0.3, interval_s=1.2}]",
+    ),
+    "helsinki, local, pseudonyms and random phases": (
+        "preset=modern", "trust.host=local", "pseudonyms.policy=disposable", "pseudonyms.n_messages=4",
+        "roadside=[{junctions=3}]",
+    ),
     "adlershof, encounters with pedestrians": (
         "traffic.scenario=adlershof", "seed=3", "encounters.0.pairs=all", "encounters.0.pedestrians=true",
     ),
