@@ -116,6 +116,30 @@ def _in_use(run: Run) -> Values:
     )
 
 
+def in_vehicles(run: Run, step: int) -> pd.Series:
+    """Trust in each vehicle at a step, by vehicle: the server's last evaluated value of the pseudonym it has then.
+
+    It is NaN where there is none yet. Of the identities of a Sybil attacker, its own counts.
+    """
+    who, n_steps = run.subjects, int(run.manifest["steps"])
+    has_begun = (who.identity == 0) & (who.from_step <= step)
+    now = who[has_begun].sort_values("from_step").drop_duplicates("vehicle", keep="last")
+    known = run.once("trust.by_subject", lambda: _by_subject(run))
+    subject = known.subject.to_numpy(np.int64)
+    of_now = now.index.to_numpy(np.int64)
+    last = np.searchsorted(subject * n_steps + known.step.to_numpy(), of_now * n_steps + step, "right") - 1
+    has_value = (last >= 0) & (subject[last] == of_now) if len(known) else np.zeros(len(now), bool)
+    trust = np.full(len(now), np.nan)
+    trust[has_value] = known.trust.to_numpy()[last[has_value]]
+    return pd.Series(trust, now.vehicle)
+
+
+def _by_subject(run: Run) -> pd.DataFrame:
+    """The server's evaluated values, each subject's in the order of time."""
+    known = server_values(run)
+    return known[known.n_evaluations > 0].sort_values(["subject", "step"])
+
+
 def _own(run: Run) -> pd.DataFrame:
     """Means of the values of their own that vehicles look up: step, since, subject, trust, n_evaluations.
 

@@ -136,6 +136,24 @@ def test_trust_by_hand(tiny):
     assert trust.mean(run)["mean"].tolist() == pytest.approx([4 / 6, 2.6 / 6])
 
 
+def test_trust_in_a_vehicle_is_that_in_the_pseudonym_it_has(tiny):
+    """Vehicle 0 has pseudonym 9 until step 4, and 5 from then on; 7 is a further identity of vehicle 1.
+
+    In step 6 the server goes on rating pseudonym 9. It has an evaluation of 5 from step 8 on.
+    """
+    used = [
+        {"pseudonym": p, "vehicle": v, "identity": i, "from_step": begin, "to_step": end}
+        for p, v, i, begin, end in ((9, 0, 0, 0, 3), (5, 0, 0, 4, 9), (1, 1, 0, 2, 9), (7, 1, 1, 2, 9))
+    ]
+    values = ((2, 9, 0.9), (6, 9, 0.8), (6, 1, 0.4), (6, 7, 0.1), (8, 5, 0.6), (8, 7, 0.2))
+    rows = [{"step": s, "subject": p, "trust": t, "n_evaluations": 1} for s, p, t in values]
+    rows.append({"step": 6, "subject": 5, "trust": 0.5, "state": "unevaluated"})
+    run = tiny(10, vehicles=fleet("honest", "malicious"), pseudonyms=used, trust=rows)
+    for step, expected in ((1, [-1]), (3, [0.9, -1]), (5, [-1, -1]), (7, [-1, 0.4]), (9, [0.6, 0.4])):
+        found = trust.in_vehicles(run, step).sort_index().fillna(-1)
+        assert found.tolist() == pytest.approx(expected), step
+
+
 def test_trust_without_a_server(tiny):
     """Means over hearers: of vehicle 2 0.3 (0.2 and 0.4; a default says nothing), of vehicle 1 0.8, later 0.1."""
     lookups = [

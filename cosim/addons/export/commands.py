@@ -62,7 +62,7 @@ def view(
         ),
     ] = None,
     from_s: Annotated[float, typer.Option("--from", help="First simulated second to show.")] = 0.0,
-    to_s: Annotated[float | None, typer.Option("--to", help="Last simulated second to show.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", help="Show what is before this simulated second.")] = None,
     clouds: Annotated[bool, typer.Option(help="Include point clouds of the chosen vehicles.")] = True,
     as_json: AsJson = False,
 ) -> None:

@@ -44,6 +44,7 @@ from cosim.runs.replay_lidar import city_of, config_of
 from cosim.traffic.scenario import Scenario, find
 from results.archive import open_run
 from results.figures import style
+from results.metrics.trust import in_vehicles, server_values
 from results.moments import BOX
 from results.run import Run
 from results.sensing import interval_steps, senses
@@ -153,8 +154,7 @@ def follow(
     """
     if out is not None:
         _check_name(out)
-    shown, known = 0, dict[int, float]()
-    recording = None
+    shown, recording = 0, None
     while True:
         run = open_run(folder, unfinished=True)
         n_steps, has_ended = int(run.manifest["steps"]), run.status != "running"
@@ -167,7 +167,7 @@ def follow(
             encounters, trust = _encounters(run), _trust(run)
             for at in range(0, len(steps), BLOCK_STEPS):
                 block = steps[at : at + BLOCK_STEPS]
-                _block(recording, run, config, block, trust, known, encounters, vehicles, None)
+                _block(recording, run, config, block, encounters, vehicles, None)
             _over_time(recording, run, trust, steps, vehicles)
             shown = n_steps
             progress("view", shown, int(run.config["traffic"]["duration_s"] / run.dt_s))
@@ -246,11 +246,10 @@ def _write(  # type: ignore[no-untyped-def]
     surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city)
     sweeper = Sweeper(run, config, city, steps)
     encounters, trust = _encounters(run), _trust(run)
-    known: dict[int, float] = {}
     for at in range(0, len(steps), BLOCK_STEPS):
         block = steps[at : at + BLOCK_STEPS]
         _require_space(out)
-        _block(recording, run, config, block, trust, known, encounters, vehicles, sweeper if clouds else None)
+        _block(recording, run, config, block, encounters, vehicles, sweeper if clouds else None)
         progress("view", min(len(steps), at + BLOCK_STEPS), len(steps))
     _over_time(recording, run, trust, steps, vehicles)
 
@@ -371,11 +370,12 @@ def strips(points_m: Float[ndarray, "p d"], n_points: Sequence[int] | Int[ndarra
 
 
 def _trust(run: Run) -> pd.DataFrame:
-    """Trust of the acting variant by step and vehicle, without vehicles that nobody has evaluated."""
-    found = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
-    found = found[found.n_evaluations > 0]
-    found = found.assign(vehicle=found.subject.map(run.subjects.vehicle).astype(np.int64))
-    return found.sort_values(["step", "vehicle"])[["step", "vehicle", "trust"]]
+    """Trust of the acting variant in pseudonyms in use, by step and vehicle; only of those that somebody evaluated."""
+    found = server_values(run)
+    who = run.subjects.loc[found.subject]
+    found = found.assign(vehicle=who.vehicle.to_numpy(np.int64), is_own=who.identity.to_numpy() == 0)
+    is_known = (found.n_evaluations > 0) & (found.step <= who.to_step.to_numpy())
+    return found[is_known].sort_values(["step", "vehicle"])[["step", "vehicle", "is_own", "trust"]]
 
 
 def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
@@ -400,10 +400,10 @@ def role_colours(run: Run, actor: Int[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
 
 
 def _block(  # type: ignore[no-untyped-def]
-    recording, run: Run, config: Config, steps: Int[ndarray, "b"], trust: pd.DataFrame,
-    known: dict[int, float], encounters: pd.DataFrame, vehicles: Sequence[int], sweeper: Sweeper | None,
+    recording, run: Run, config: Config, steps: Int[ndarray, "b"], encounters: pd.DataFrame, vehicles: Sequence[int],
+    sweeper: Sweeper | None,
 ) -> None:  # fmt: skip
-    """Write a block of steps. `known` is the last trust in each vehicle so far; the function updates it."""
+    """Write a block of steps."""
     import rerun
 
     where = pc.field("step").isin(steps.tolist())
@@ -412,16 +412,12 @@ def _block(  # type: ignore[no-untyped-def]
     actors = run.table("actors", where=where).sort_values(["step", "actor"]).join(bodies, on="actor")
     shown = _last_sensed(run, steps, vehicles)
     here = dict(iter(actors.groupby("step")))
-    is_now = (trust.step >= steps[0]) & (trust.step <= steps[-1])
-    values = trust[is_now].groupby("step")
-    updates = {step: dict(zip(rows.vehicle, rows.trust, strict=True)) for step, rows in values}
     for step in steps.tolist():
         recording.set_time("time", duration=step * run.dt_s)
         now = here.get(step)
-        known.update(updates.get(step, {}))
         if now is not None:
             number = now.actor.to_numpy(np.int64)
-            value = np.array([known.get(n, np.nan) for n in number.tolist()])
+            value = in_vehicles(run, step).reindex(number).to_numpy()
             boxes = _boxes(now)
             roles, rated = role_colours(run, number), colours(value)
             recording.log("city/actors", drawn_boxes(boxes, roles, solid=True))
@@ -546,7 +542,7 @@ def _over_time(  # type: ignore[no-untyped-def]
     for name, rows in part.groupby(role):
         series[str(name)] = rows.groupby("step").trust.median()
     for vehicle in vehicles:
-        series[f"vehicle_{vehicle}"] = part[part.vehicle == vehicle].set_index("step").trust
+        series[f"vehicle_{vehicle}"] = part[part.is_own & (part.vehicle == vehicle)].set_index("step").trust
     for name, values in series.items():
         for step, value in values.items():
             recording.set_time("time", duration=float(cast(int, step)) * run.dt_s)

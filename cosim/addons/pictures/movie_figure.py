@@ -5,6 +5,7 @@ Each picture shows what vehicles fabricated, detected and believed when they las
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from numpy import ndarray
 
 from cosim.base import durable
 from results.figures import style
+from results.metrics.trust import in_vehicles
 from results.run import Run
 from results.sensing import interval_steps
 
@@ -101,9 +103,7 @@ class _Film:
         if vehicle is not None and "fused" in run.tables:
             fused = run.variant_table("fused", ["step", "x_m", "y_m"], pc.field("observer") == vehicle)
             self._believed = fused.assign(end_step=fused.step + interval_steps(run, np.array([vehicle]))[0])
-        trust = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
-        trust = trust[trust.n_evaluations > 0]
-        self._trust = trust.assign(vehicle=trust.subject.map(of)).sort_values("step")
+        self._trust_at = partial(in_vehicles, run)
         self._roles = run.roles.astype(object)
         self._attack_starts = attack_starts(run)
         self._begin(streets, buildings)
@@ -162,12 +162,10 @@ class _Film:
         role = self._roles.reindex(number).to_numpy(object)
         equipped = np.array([isinstance(r, str) for r in role], bool)
         attacks = self._attack_starts.reindex(number).to_numpy() <= step
-        until_now = self._trust[self._trust.step <= step]
-        known = until_now.drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
-        trust = known.reindex(number[equipped]).to_numpy(float)
+        rated = self._trust_at(step).reindex(number[equipped]).to_numpy(float)
         self._others.set_offsets(xy[~equipped])
         self._equipped.set_offsets(xy[equipped])
-        self._equipped.set_array(np.ma.masked_invalid(trust))
+        self._equipped.set_array(np.ma.masked_invalid(rated))
         self._liars.set_offsets(xy[attacks])
         for marks, rows in (
             (self._ghosts, self._lies), (self._finds, self._seen), (self._beliefs, self._believed)

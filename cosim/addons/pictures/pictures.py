@@ -18,6 +18,7 @@ from cosim.runs.replay_lidar import city_of, config_of, worlds
 from cosim.runs.replay_lidar import sweep as replayed
 from cosim.traffic.scenario import find
 from results.figures import style
+from results.metrics.trust import in_vehicles
 from results.run import Run
 from sensors.boxes import Boxes
 from sensors.lidar import Sweeps
@@ -148,10 +149,6 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     seen_m = {observer: sweeps.poses.to_world(n, sweeps.xyz(n)) for n, observer in enumerate(observers)}
     scenario = find(config.traffic.scenario, config.traffic.trace)
     lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
-    of = run.subjects.vehicle
-    known = run.variant_table("trust", ["step", "subject", "trust", "n_evaluations"])
-    known = known[(known.step <= step) & (known.n_evaluations > 0)].sort_values("step")
-    known = known.assign(vehicle=known.subject.map(of)).drop_duplicates("vehicle", keep="last")
     lies = run.table("detections", where=(pc.field("step") == step))
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
@@ -166,7 +163,7 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
         clouds=seen_m,
         boxes=np.column_stack([b.xyz_m, b.lwh_m, b.yaw_rad]),
         equipped=world.equipped,
-        trust=known.set_index("vehicle").trust.reindex(world.actor).to_numpy(float),
+        trust=in_vehicles(run, step).reindex(world.actor).to_numpy(float),
         attacks=movie_figure.attack_starts(run).reindex(world.actor).to_numpy() <= step,
         ghosts=lies[columns].to_numpy(float),
     )

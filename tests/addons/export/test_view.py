@@ -12,7 +12,17 @@ import pyarrow.compute as pc
 import pytest
 from PIL import Image
 
-from cosim.addons.export.view import _last_sensed, _received, colours, first_look, follow, role_colours, strips, view
+from cosim.addons.export.view import (
+    _block,
+    _last_sensed,
+    _received,
+    colours,
+    first_look,
+    follow,
+    role_colours,
+    strips,
+    view,
+)
 from cosim.addons.pictures.pictures import film
 from results.archive import open_run
 from tests.drive import assert_refused, cosim, drive
@@ -98,6 +108,27 @@ def test_boxes_are_shown_until_their_vehicle_senses_again(tmp_path):
         "believed": [[1.0, 3, 8]],
     }  # fmt: skip
     assert list(_last_sensed(run, np.arange(6, 10), [])) == ["fabricated"]
+
+
+def test_trust_of_before_the_first_step_shown_is_known(tmp_path):
+    """The server rated vehicle 0 in step 2, and the view begins with step 5."""
+    from rerun import Points2D
+
+    logged = {}
+
+    class Kept:
+        def set_time(self, *words, **time):
+            pass
+
+        def log(self, name, what):
+            logged[name] = what
+
+    actors = [{"step": 5, "actor": 0, "x_m": 1.0}]
+    rated = [{"step": 2, "subject": 0, "trust": 0.25, "n_evaluations": 1}]
+    run = make(tmp_path, 6, vehicles=fleet("honest"), actors=actors, trust=rated, detections=[])
+    _block(Kept(), run, None, np.array([5]), run.encounters, (), None)
+    expected = Points2D([[0, 0]], colors=colours(np.array([0.25]))).colors
+    assert logged["map/rings"].colors.as_arrow_array().equals(expected.as_arrow_array())
 
 
 def test_the_first_view(folder):

@@ -6,16 +6,23 @@ from cosim.addons.pictures.movie_figure import _Film
 from tests.results.tiny import fleet, make
 
 
-def test_rings_are_around_malicious_vehicles_from_their_first_attack_on(tmp_path):
-    """Vehicle 1 attacks from step 2 on, vehicle 2 never does, and unreliable vehicle 3 does not attack."""
+def test_rings_and_trust(tmp_path):
+    """Vehicle 1 attacks from step 2 on, vehicle 2 never does, and unreliable vehicle 3 does not attack.
+
+    Vehicle 0 has another pseudonym in each step, and the server rates all of them.
+    """
     vehicles = fleet("honest", "malicious", "malicious", "unreliable")
     vehicles[1]["attack_start_step"] = vehicles[3]["attack_start_step"] = 2
     actors = [{"step": step, "actor": a, "x_m": 10.0 * a, "y_m": 5.0} for step in (1, 2) for a in range(4)]
-    run = make(tmp_path, 3, vehicles=vehicles, actors=actors, detections=[], trust=[])
+    used = [{"pseudonym": p, "vehicle": p % 4, "from_step": p // 4, "to_step": 2} for p in (0, 1, 2, 3, 4, 8)]
+    rated = [{"step": 1, "subject": p, "trust": p / 16, "n_evaluations": 1} for p in (8, 4, 0, 1)]
+    run = make(tmp_path, 3, vehicles=vehicles, pseudonyms=used, actors=actors, detections=[], trust=rated)
     film = _Film(run, None, np.array([1, 2]), [], [])
     for step, rings in ((1, []), (2, [[10.0, 5.0]])):
         film.show(step)
         assert film._liars.get_offsets().tolist() == rings
+        of_0 = 4 * step  # its pseudonym
+        assert film._equipped.get_array().filled(-1).tolist() == [of_0 / 16, 1 / 16, -1, -1]
 
 
 def test_what_vehicles_last_detected_fabricated_and_believed_is_shown_until_they_sense_again(tmp_path):
