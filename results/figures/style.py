@@ -2,6 +2,7 @@
 
 import base64
 import io
+import os
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
@@ -233,7 +234,7 @@ def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
 def names(runs: Sequence[Run]) -> list[str]:
     """Names of runs: the value of the key in which they differ, if it is one alone and tells all apart.
 
-    Else their folders' names, with the parent folder where two are called the same, and the trust variant.
+    Else their folders' names, with the folders above where two are called the same, and the trust variant.
     """
     found = compare.differing(runs)
     if len(runs) > 1 and len(found) == 1:
@@ -241,8 +242,9 @@ def names(runs: Sequence[Run]) -> list[str]:
         if len(set(map(str, values))) == len(runs):
             return [f"{key} = {_plain(value)}" for value in values]
     short = [run.name if run.variant == BASE_VARIANT else f"{run.name}, {run.variant}" for run in runs]
+    among = os.path.commonpath([run.path.resolve() for run in runs])
     return [
-        name if short.count(name) == 1 else f"{run.path.parent.name}/{name}"
+        name if short.count(name) == 1 else f"{os.path.relpath(run.path.resolve().parent, among)}/{name}"
         for run, name in zip(runs, short, strict=True)
     ]
 
@@ -340,7 +342,7 @@ def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     variants = [run.as_variant(name) for run in runs for name in run.variants]
     if len(runs) == 1:
         return variants, [run.variant for run in variants]
-    return variants, [f"{run.path.name}, {run.variant}" for run in variants]
+    return variants, names(variants)
 
 
 def draw_each(runs: Sequence[Run], draw: Callable[[int, Run], None]) -> list[int]:

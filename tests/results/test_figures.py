@@ -131,8 +131,13 @@ def test_nothing_to_draw_is_one_clear_line(name, quiet):
 
 
 def test_runs_of_one_name_are_told_apart(run, tmp_path):
-    twin = open_run(write(tmp_path / run.name, steps=10))
-    assert len(set(style.names([run, twin]))) == 2
+    folders = [tmp_path / place / "same" for place in ("one", "two")]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    twins = [open_run(write(folder / run.name, steps=10)) for folder in folders]
+    assert style.names(twins) == [f"one/same/{run.name}", f"two/same/{run.name}"]
+    of_variants, labels = style.variants_of([run, *twins])
+    assert len(set(labels)) == len(of_variants) == 3
 
 
 def test_malicious_is_red_and_every_role_has_one_colour(run):
