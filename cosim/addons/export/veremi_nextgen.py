@@ -5,7 +5,9 @@ Notes
 `veh_<vehicle>.json`. `pos` is "x,y,z", the centre of the box in metres east, north, up; `spd` [m/s]; `acl` along the
 heading [m/s2]; `hed` clockwise from north [degrees]; times in nanoseconds; `sender_alias` is the pseudonym;
 `attacker` is 1 from the first attack of the sender on. `distance_to_road_edge` is positive on a lane and negative
-beside all of them [m], of the position as reported. There is no noise of positioning (0), and one profile of drivers.
+beside all of them [m], of the position as reported. `pos_noise` and `hed_noise` of a sender are the standard deviations
+of the errors of its position and heading (`gnss`); a receiver's own state is the true one. There is one profile of
+drivers.
 """
 
 import json
@@ -19,13 +21,14 @@ from cosim.addons.export import kitti, messages
 from cosim.addons.export.frames import compass_deg
 from cosim.addons.export.messages import ExportedMessages
 from results.moments import Clouds, File, Plan, Selection
+from results.run import Run
 
 TABLES = messages.TABLES
 
 MESSAGE_BYTES = 640
 """Of one message, roughly."""
 
-NO_NOISE = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
+EXACT = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
 
 
 class VeremiNextGen:
@@ -54,8 +57,8 @@ def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> 
 
 def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
     at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
-    receiver = _states(own.iloc[at])
-    sender = _states(got)
+    receiver = _states(own.iloc[at], EXACT)
+    sender = _states(got, _noise(sent.selection.run))
     for state, edge_m in zip(sender, got.edge_m, strict=True):
         state["distance_to_road_edge"] = f"{edge_m:.4f}"
     number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
@@ -75,7 +78,14 @@ def _ns(time_s: pd.Series) -> list[str]:
     return [str(x) for x in np.round(time_s.to_numpy(float) * 1e9).astype(np.int64).tolist()]
 
 
-def _states(rows: pd.DataFrame) -> list[dict[str, str]]:
+def _noise(run: Run) -> dict[str, str]:
+    """What the errors of reported states are."""
+    gnss = run.config.get("gnss", {})
+    std_m, heading_deg = (float(gnss.get(name, 0.0)) for name in ("std_m", "heading_std_deg"))
+    return EXACT | {"pos_noise": f"{std_m:g},{std_m:g},0", "hed_noise": f"{heading_deg:g}"}
+
+
+def _states(rows: pd.DataFrame, noise: dict[str, str]) -> list[dict[str, str]]:
     places = zip(rows.x_m, rows.y_m, rows.z_m, strict=True)
     heading_deg = compass_deg(rows.yaw_rad.to_numpy())
     states = zip(places, rows.speed_mps, rows.acceleration_mps2, heading_deg, strict=True)
@@ -85,7 +95,7 @@ def _states(rows: pd.DataFrame) -> list[dict[str, str]]:
             "spd": f"{speed:.4f}",
             "acl": f"{acceleration:.4f}",
             "hed": f"{heading:.4f}",
-            **NO_NOISE,
+            **noise,
         }
         for place, speed, acceleration, heading in states
     ]

@@ -24,6 +24,8 @@ def test_nextgen_truck_by_hand(run, tmp_path):
     assert float(sender["hed"]) == pytest.approx(315, abs=0.06)  # north-west, clockwise from north
     assert float(found["receiver"]["hed"]) % 360 == pytest.approx(0, abs=0.06) and found["receiver"]["spd"] == "0.0000"
     assert sender["distance_to_road_edge"] == "1.2500"
+    assert [sender[name] for name in ("pos_noise", "hed_noise", "spd_noise")] == ["0.2,0.2,0", "0.5", "0"]
+    assert [found["receiver"][name] for name in ("pos_noise", "hed_noise")] == ["0,0,0", "0"]  # the true state
 
 
 def test_nextgen_round_trip(run, tmp_path):

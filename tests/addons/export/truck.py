@@ -14,7 +14,9 @@ from tests.results import tiny
 TRUCK_WORLD = np.array([97, 70, 1.75, 10, 2.5, 3.5, np.radians(135)])
 TRUCK_SENSOR = np.array([20, 3, 0.02, 10, 2.5, 3.5, np.radians(45)])
 CAR_LIDAR = [100, 50, 1.73, np.radians(90)]
-CONFIG = {"sensing_interval_s": 1.0, "lidar": {"mount_above_roof_m": 0.23}}
+CONFIG = {
+    "sensing_interval_s": 1.0, "lidar": {"mount_above_roof_m": 0.23}, "gnss": {"std_m": 0.2, "heading_std_deg": 0.5},
+}  # fmt: skip
 
 
 def body(number, kind, lwh, name, last=3, first=0, **more):
