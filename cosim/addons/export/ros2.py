@@ -10,7 +10,7 @@ Notes
 | `/buildings` | visualization_msgs/Marker | triangles of the buildings, once |
 | `/actors` | visualization_msgs/MarkerArray | a box for each actor, in the colour of its role; `id` is its number |
 | `/fabricated` | visualization_msgs/MarkerArray | boxes that attacks fabricated and that were sent |
-| `/trust` | sensor_msgs/PointCloud2 | a point per pseudonym with trust: `trust`, `newest_evaluation_age_s`, `subject` |
+| `/trust` | sensor_msgs/PointCloud2 | per pseudonym in use a point with `trust`, `newest_evaluation_age_s`, `subject` |
 | `/tf` | tf2_msgs/TFMessage | the frame `vehicle_<n>/lidar` of each chosen vehicle |
 | `/vehicle_<n>/points` | sensor_msgs/PointCloud2 | its sweep |
 | `/vehicle_<n>/detections` | vision_msgs/Detection3DArray | its list as transmitted, in the frame `map` |
@@ -354,7 +354,8 @@ class Bag:
         where = pc.field("step").isin(self.selection.steps.tolist())
         columns = ["step", "subject", "trust", "newest_evaluation_age_s"]
         rows = run.variant_table("trust", columns, where)
-        rows = rows.assign(vehicle=rows.subject.map(run.subjects.vehicle))
+        rows = rows.join(run.subjects[["vehicle", "to_step"]], on="subject")
+        rows = rows[rows.step <= rows.to_step]
         at = run.table("actors", ["step", "actor", *BOX[:3]], where).rename(columns={"actor": "vehicle"})
         rows = rows.merge(at, on=["step", "vehicle"]).sort_values(["step", "subject"])
         made = np.zeros(len(rows), RATED)

@@ -198,6 +198,18 @@ def test_bag_is_read_by_mcap(run, of, tmp_path):
     assert np.frombuffer(cloud.data, "<f4").reshape(-1, 3).tolist() == truck.clouds(2, [0])[0]().tolist()
 
 
+def test_bag_has_trust_in_pseudonyms_in_use_alone(tmp_path):
+    """The server rates pseudonyms 0 and 1 in step 2; since that step, vehicle 0 has pseudonym 9."""
+    used = [
+        {"pseudonym": number, "vehicle": vehicle, "from_step": first, "to_step": last}
+        for number, vehicle, first, last in ((0, 0, 0, 1), (9, 0, 2, 3), (1, 1, 0, 3), (3, 3, 1, 3))
+    ]
+    run = truck.make(tmp_path / "run", pseudonyms=used)
+    bag(truck.selection(run), tmp_path / "bag")
+    (rated,) = [content for topic, _, content in decoded(tmp_path / "bag") if topic == "/trust"]
+    assert np.frombuffer(rated.data, ros2.RATED)["subject"].tolist() == [1]
+
+
 def test_bag_of_no_vehicle_in_particular(of, tmp_path):
     bag(replace(of, named=False), tmp_path)
     assert {topic for topic, _, _ in decoded(tmp_path)} == {"/actors", "/buildings", "/fabricated", "/trust"}
