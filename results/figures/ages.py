@@ -19,14 +19,15 @@ def draw(runs: Sequence[Run]) -> Figure:
     """
     runs = style.arranged(runs, most=6)
     figure, (axes,) = style.sheet()
-    kinds, shown = list(freshness.AGES), set()
+    kinds, shown, reasons = list(freshness.AGES), set(), []
     lowest, shortest_s, longest_s = 1.0, float("inf"), 0.0
     for i, run in enumerate(runs):
         for k, what in enumerate(kinds):
             try:
                 curve = freshness.distribution(run, what)
-            except ValueError:
-                continue  # nothing but defaults
+            except ValueError as reason:  # nothing but defaults, or single lookups were not kept
+                reasons.append(reason)
+                continue
             older = 1 - curve.share.to_numpy()
             there = (older > 1e-12) & (curve.age_s.to_numpy() > 0)
             if not there.any():
@@ -43,7 +44,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
                 "Share that is older")  # fmt: skip
     if not shown:
-        raise runs[0].lacks("trust value that rests on an evaluation", "there is no age to draw.")
+        raise reasons[0]
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(shortest_s * 0.9, longest_s * 1.2)

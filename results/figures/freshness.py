@@ -33,7 +33,9 @@ def draw(runs: Sequence[Run]) -> Figure:
                 line[0].set_label({"value": "the value itself"}.get(what, what))
             longest_s = max(longest_s, float(curve.age_s[curve.share >= 0.99].min()))
     if longest_s == 0:
-        ages.text(0.5, 0.5, "no value rests on an evaluation", ha="center", transform=ages.transAxes)
+        are_kept = any("trust_lookups" in run.tables for run in runs)
+        why = "no value rests on an evaluation" if are_kept else "single lookups were not kept"
+        ages.text(0.5, 0.5, why, ha="center", transform=ages.transAxes)
     elif len(runs) == 1:
         ages.legend(loc="lower right")
     for i, bar in enumerate(bars):

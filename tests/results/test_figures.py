@@ -13,6 +13,7 @@ from results.figures import style, trust
 from results.figures.catalogue import FIGURES
 from tests.results.synthetic import write
 from tests.results.test_study_pages import study_of
+from tests.results.tiny import fleet
 from tests.slow import slow
 
 X_AXES = {"encounters": "Duration [s]", "freshness": "Age [s]", "radio": "Distance [m]"}
@@ -70,6 +71,16 @@ def test_too_few_messages_for_a_curve_are_said(tiny):
     under_way = {"a": 0, "b": 1, "start_step": 0, "end_step": 1, "censored_left": True, "radius_m": 50}
     (axes,) = FIGURES["encounters"]([tiny(1, encounters=[under_way])]).axes
     assert [text.get_text() for text in axes.texts] == ["too few encounters"]
+
+
+def test_ages_that_a_run_did_not_keep_are_not_called_absent(tiny):
+    """At level `summary` a run has totals of lookups alone. Here, all find a value that rests on an evaluation."""
+    totals = [{"step": 0, "state": "evaluated", "n": 3, "n_valued": 3, "age_sum_s": 2.0}]
+    brief = tiny(2, vehicles=fleet("honest"), lookup_totals=totals, trust_lookups=[])
+    brief.manifest["dropped"] = ["trust_lookups"]
+    with pytest.raises(ValueError, match="no table trust_lookups: it is kept at record"):
+        FIGURES["ages"]([brief])
+    assert [text.get_text() for text in FIGURES["freshness"]([brief]).axes[0].texts] == ["single lookups were not kept"]
 
 
 def test_what_cannot_be_drawn_takes_away_nothing_else(run):

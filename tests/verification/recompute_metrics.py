@@ -162,6 +162,8 @@ def values(of):
         frame = frame.assign(begins=frame.step, evaluated=n > 0, enough=n >= of.least)
     else:
         looked = of.table("trust_lookups")
+        if not len(looked):
+            return pd.DataFrame(columns=[*VALUE, "role", "begins"])
         own = looked[(looked.source == "own") & (looked.n_evaluations > 0)]
         own = own[own.step <= own.subject.map(subjects(of).to_step)]
         interval = max(interval_steps(of), default=1)
@@ -242,10 +244,13 @@ def misbehaviour(of):
     looked = lookups(of)
     if len(looked):
         yield from at_lookup(of, looked)
+    if frame.empty:
+        return
     every = pairs(of)
     rated = every[every.evaluated]
     honest = rated.trust[rated.role == "honest"]
-    limit = np.sort(honest)[int(np.floor(FALSE_POSITIVES * len(honest) + 1e-9))]
+    at = int(np.floor(FALSE_POSITIVES * len(honest) + 1e-9))
+    limit = np.sort(honest)[at] if len(honest) else np.nan
     yield "fpr_threshold", "", limit
     yield "evaluated.share", "honest", every.evaluated[every.role == "honest"].mean()
     for role, some in every.groupby("role"):
@@ -256,14 +261,16 @@ def misbehaviour(of):
         yield "evaluated.share", role, some.evaluated.mean()
         yield "auc", role, auc(honest, mine)
         yield "auc_unevaluated", role, auc(every.trust[every.role == "honest"].dropna(), some.trust.dropna())
-        yield "recall_at_fpr", role, (mine < limit).mean()
-        yield "suspected_at_fpr.share", role, (some.enough & (some.trust < limit)).mean()
+        if limit == limit:
+            yield "recall_at_fpr", role, (mine < limit).mean()
+            yield "suspected_at_fpr.share", role, (some.enough & (some.trust < limit)).mean()
     last = rated.sort_values("step", kind="stable").groupby("subject").last()
     yield "auc_final", "", auc(last.trust[last.role == "honest"], last.trust[last.role == "malicious"])
     at_server = len(of.table("trust")) > 0
     kept = frame if at_server else looked
     yield from detection_times(of, kept, of.threshold, "time_to_detection")
-    yield from detection_times(of, kept, limit, "time_to_detection_at_fpr")
+    if limit == limit:
+        yield from detection_times(of, kept, limit, "time_to_detection_at_fpr")
     if at_server and len(looked):
         yield from detection_times(of, looked, of.threshold, "time_to_detection_at_vehicle")
 
@@ -302,7 +309,7 @@ def rates(attacks, excluded):
 
 
 def security(of):
-    if watched(of).empty:
+    if watched(of).empty or values(of).empty:
         return
     every = pairs(of).sort_values(["step", "subject"])
     sent = of.table("detections")
@@ -710,7 +717,7 @@ def detection(of):
                 around = [a for a in at.actor.to_numpy()[near] if a != me]
                 n += len(around)
                 n_known += sum((step, me, a) in there for a in around)
-        yield "awareness_70m.share", name, n_known / n
+        yield "awareness_70m.share", name, ratio(n_known, n)
 
 
 def attack(of):
