@@ -242,10 +242,11 @@ def names(runs: Sequence[Run]) -> list[str]:
         if len(set(map(str, values))) == len(runs):
             return [f"{key} = {_plain(value)}" for value in values]
     short = [run.name if run.variant == BASE_VARIANT else f"{run.name}, {run.variant}" for run in runs]
-    among = os.path.commonpath([run.path.resolve() for run in runs])
+    paths = [run.path.resolve() for run in runs]
+    among = os.path.commonpath(paths)
     return [
-        name if short.count(name) == 1 else f"{os.path.relpath(run.path.resolve().parent, among)}/{name}"
-        for run, name in zip(runs, short, strict=True)
+        name if short.count(name) == 1 else f"{os.path.relpath(path.parent, among)}/{name}"
+        for path, name in zip(paths, short, strict=True)
     ]
 
 

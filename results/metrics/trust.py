@@ -127,11 +127,11 @@ def in_vehicles(run: Run, step: int) -> pd.Series:
     known = run.once("trust.by_subject", lambda: _by_subject(run))
     subject = known.subject.to_numpy(np.int64)
     of_now = now.index.to_numpy(np.int64)
-    last = np.searchsorted(subject * n_steps + known.step.to_numpy(), of_now * n_steps + step, "right") - 1
-    has_value = (last >= 0) & (subject[last] == of_now) if len(known) else np.zeros(len(now), bool)
-    trust = np.full(len(now), np.nan)
-    trust[has_value] = known.trust.to_numpy()[last[has_value]]
-    return pd.Series(trust, now.vehicle)
+    key = subject * n_steps + known.step.to_numpy()
+    last = np.searchsorted(key, of_now * n_steps + step, "right") - 1  # -1, before the first one, is nobody's
+    has_value = np.append(subject, -1)[last] == of_now
+    trust = np.append(known.trust, np.nan)[last]
+    return pd.Series(np.where(has_value, trust, np.nan), now.vehicle)
 
 
 def _by_subject(run: Run) -> pd.DataFrame:

@@ -28,7 +28,10 @@ TABLES = messages.TABLES
 MESSAGE_BYTES = 640
 """Of one message, roughly."""
 
-EXACT = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
+State = dict[str, str]
+"""What is said of a vehicle at one time, by name."""
+
+EXACT: State = {"pos_noise": "0,0,0", "spd_noise": "0", "acl_noise": "0", "hed_noise": "0", "driversProfile": "NORMAL"}
 
 
 class VeremiNextGen:
@@ -78,14 +81,14 @@ def _ns(time_s: pd.Series) -> list[str]:
     return [str(x) for x in np.round(time_s.to_numpy(float) * 1e9).astype(np.int64).tolist()]
 
 
-def _noise(run: Run) -> dict[str, str]:
+def _noise(run: Run) -> State:
     """What the errors of reported states are."""
     gnss = run.config.get("gnss", {})
     std_m, heading_deg = (float(gnss.get(name, 0.0)) for name in ("std_m", "heading_std_deg"))
     return EXACT | {"pos_noise": f"{std_m:g},{std_m:g},0", "hed_noise": f"{heading_deg:g}"}
 
 
-def _states(rows: pd.DataFrame, noise: dict[str, str]) -> list[dict[str, str]]:
+def _states(rows: pd.DataFrame, noise: State) -> list[State]:
     places = zip(rows.x_m, rows.y_m, rows.z_m, strict=True)
     heading_deg = compass_deg(rows.yaw_rad.to_numpy())
     states = zip(places, rows.speed_mps, rows.acceleration_mps2, heading_deg, strict=True)

@@ -372,10 +372,9 @@ def strips(points_m: Float[ndarray, "p d"], n_points: Sequence[int] | Int[ndarra
 def _trust(run: Run) -> pd.DataFrame:
     """Trust of the acting variant in pseudonyms in use, by step and vehicle; only of those that somebody evaluated."""
     found = server_values(run)
-    who = run.subjects.loc[found.subject]
-    found = found.assign(vehicle=who.vehicle.to_numpy(np.int64), is_own=who.identity.to_numpy() == 0)
-    is_known = (found.n_evaluations > 0) & (found.step <= who.to_step.to_numpy())
-    return found[is_known].sort_values(["step", "vehicle"])[["step", "vehicle", "is_own", "trust"]]
+    found = found.join(run.subjects[["vehicle", "identity", "to_step"]], on="subject")
+    is_known = (found.n_evaluations > 0) & (found.step <= found.to_step)
+    return found[is_known].sort_values(["step", "vehicle"])[["step", "vehicle", "identity", "trust"]]
 
 
 def colours(trust: Float[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
@@ -542,7 +541,8 @@ def _over_time(  # type: ignore[no-untyped-def]
     for name, rows in part.groupby(role):
         series[str(name)] = rows.groupby("step").trust.median()
     for vehicle in vehicles:
-        series[f"vehicle_{vehicle}"] = part[part.is_own & (part.vehicle == vehicle)].set_index("step").trust
+        own = part[(part.vehicle == vehicle) & (part.identity == 0)]
+        series[f"vehicle_{vehicle}"] = own.set_index("step").trust
     for name, values in series.items():
         for step, value in values.items():
             recording.set_time("time", duration=float(cast(int, step)) * run.dt_s)
