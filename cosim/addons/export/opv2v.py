@@ -86,8 +86,8 @@ class Opv2v:
         found = scenarios_of(selection)
         if not found:
             raise ValueError(
-                "no two of these vehicles sense in the same steps, and a scenario needs two. Choose others, or run "
-                'with sensing_phase = "common".'
+                "no two of these vehicles sense in the same steps and stay on the road meanwhile, and a scenario needs "
+                'two. Choose others, or run with sensing_phase = "common".'
             )
         units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
         units.append(kitti.names(selection))
