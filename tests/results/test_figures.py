@@ -83,6 +83,12 @@ def test_ages_that_a_run_did_not_keep_are_not_called_absent(tiny):
     assert [text.get_text() for text in FIGURES["freshness"]([brief]).axes[0].texts] == ["single lookups were not kept"]
 
 
+def test_more_runs_than_inks_have_the_colours_of_the_legend(run):
+    figure = FIGURES["safety"]([run] * 7)
+    drawn = [line.get_color() for line in figure.axes[1].lines]
+    assert drawn == [entry.get_color() for entry in figure.legends[0].get_lines()] and len(set(drawn)) == 7
+
+
 def test_what_cannot_be_drawn_takes_away_nothing_else(run):
     """A run, or a trust variant, without values; if none has any, the first reason is given."""
 

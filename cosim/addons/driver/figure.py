@@ -28,7 +28,8 @@ def draw(runs: Sequence[Run]) -> Figure:
     detector does not report; those to ghosts and to false positives are false alarms. Without a driver that reacts
     there are none.
     """
-    style.need(runs)
+    runs = style.arranged(runs)
+    inks = style.inks(runs)
     reacts = any("reactions" in run.tables and run.n_rows("reactions") for run in runs)
     figure, (events, over_time, *causes) = style.sheet(3 if reacts else 2, 2.2)
     width = 0.8 / len(runs)
@@ -40,8 +41,8 @@ def draw(runs: Sequence[Run]) -> Figure:
         at = np.arange(len(_COUNTS)) + aside
         values = [found.get(name, 0.0) for name in _COUNTS]
         hatch = style.HATCHES[i % len(style.HATCHES)]
-        events.barh(at, values, width, color=style.ink(i), hatch=hatch, edgecolor="#333333", linewidth=0.5)
-        _over_time(over_time, run, i)
+        events.barh(at, values, width, color=inks[i], hatch=hatch, edgecolor="#333333", linewidth=0.5)
+        _over_time(over_time, run, style.look(i) | {"color": inks[i]})
     over_time.set_ylim(bottom=0)
     events.set_xlim(left=0)
     events.set_yticks(range(len(_COUNTS)), list(_COUNTS.values()))
@@ -57,7 +58,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     return figure
 
 
-def _over_time(axes: Axes, run: Run, i: int) -> None:
+def _over_time(axes: Axes, run: Run, look: dict[str, Any]) -> None:
     """Hard braking per kilometre in twenty parts of the run."""
     poses = tracks(run)
     edges = np.linspace(0, run.manifest["steps"], 21)
@@ -66,7 +67,7 @@ def _over_time(axes: Axes, run: Run, i: int) -> None:
     events = safety.braking(run, poses)
     n, _ = np.histogram(events.step[events.severity == "hard"], edges)
     rate = np.divide(n, way_km, out=np.zeros(len(n)), where=way_km > 0)
-    axes.plot(edges[1:] * run.dt_s, rate, **style.look(i))
+    axes.plot(edges[1:] * run.dt_s, rate, **look)
 
 
 def _causes(axes: Axes, runs: Sequence[Run]) -> set[str]:
