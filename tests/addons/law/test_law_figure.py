@@ -26,3 +26,9 @@ def test_curves_and_points_are_drawn(tmp_path):
 def test_nothing_measured_is_an_empty_panel_of_points():
     figure = law.draw([], [], [law.points_of("a city", [{}], [{}])])
     assert len(figure.axes) == 1
+
+
+def test_curves_that_have_no_room_are_counted():
+    curves = [law.Curve(str(number), np.array([1.8, 2.8]), np.ones(2)) for number in range(8)]
+    (axes,) = law.draw(curves).axes
+    assert len(axes.get_lines()) == 6 and axes.get_title("left").split()[-4:] == ["first", "6", "of", "8"]
