@@ -123,11 +123,13 @@ class Inventory:
             parts = self.of(name)
             digest = hashlib.sha256("".join(part.sha256 for part in parts).encode()).hexdigest()
             tables_[name] = {
-                "parts": len(parts), "rows": sum(part.n_rows for part in parts),
+                "parts": len(parts),
+                "rows": sum(part.n_rows for part in parts),
                 "bytes": sum(part.n_bytes for part in parts),
                 "first_step": min((part.first_step for part in parts), default=None),
-                "last_step": max((part.last_step for part in parts), default=None), "sha256": digest,
-            }  # fmt: skip
+                "last_step": max((part.last_step for part in parts), default=None),
+                "sha256": digest,
+            }
         return {"blocks": len(self.blocks), "end_step": self.end_step, "sha256": self.chain, "tables": tables_}
 
 
@@ -161,21 +163,28 @@ def read(folder: Path) -> Inventory:
 def _block(line: dict[str, Any]) -> Block:
     parts, open_ = (tuple(map(_part, line[name])) for name in ("parts", "open"))
     files = dict(line["checkpoint"])
-    if any(name != f"{CHECKPOINT}/{Path(name).name}" or not isinstance(sha, str) for name, sha in files.items()):
-        raise ValueError(f"{CHECKPOINT} outside of its folder")
+    for name, sha256 in files.items():
+        if name != f"{CHECKPOINT}/{Path(name).name}" or not isinstance(sha256, str):
+            raise ValueError(f"{CHECKPOINT} outside of its folder")
     return Block(
-        int(line["number"]), int(line["end_step"]), bool(line["is_whole"]), parts, open_, files, str(line["chain"]),
-    )  # fmt: skip
+        int(line["number"]),
+        int(line["end_step"]),
+        bool(line["is_whole"]),
+        parts,
+        open_,
+        files,
+        str(line["chain"]),
+    )
 
 
 def _part(content: dict[str, Any]) -> Part:
     part = Part(**content)
-    if not all(isinstance(text, str) for text in (part.table, part.file, part.sha256)):
-        raise ValueError("a part without a name")
     if part.table not in TABLES or Path(part.file).name != part.file:
         raise ValueError(part.name)
     numbers = (part.n_rows, part.n_bytes, part.first_step, part.last_step)
-    if not all(type(number) is int for number in numbers) or min(part.n_rows, part.n_bytes) < 0:
+    if not isinstance(part.sha256, str) or set(map(type, numbers)) != {int}:
+        raise ValueError(part.name)
+    if min(part.n_rows, part.n_bytes) < 0:
         raise ValueError(part.name)
     return part
 

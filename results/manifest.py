@@ -6,7 +6,7 @@ import shutil
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from cosim.base import durable
 from cosim.base.codes import BASE_VARIANT, Role, labels
@@ -53,11 +53,12 @@ def check_schema(path: Path, manifest: Mapping[str, Any]) -> None:
         return
     source = manifest.get("source")
     said = source if isinstance(source, Mapping) else {}
-    named = {"version": "cosim", "commit": "commit"}
-    reader = ", ".join(f"{what} {said[key]}" for key, what in named.items() if _is_name(said.get(key)))
+    named = {"cosim": said.get("version"), "commit": said.get("commit")}
+    known = [f"{what} {name}" for what, name in named.items() if _is_name(name)]
+    reader = ", ".join(known) or "the cosim that wrote it"
     raise ValueError(
         f"{path} was written with schema version {version} of the tables, and this cosim reads {SCHEMA_VERSION}. "
-        f"Read it with {reader or 'the cosim that wrote it'}, or run again."
+        f"Read it with {reader}, or run again."
     )
 
 
@@ -69,11 +70,15 @@ def _is_name(value: Any) -> bool:
 _LONGEST_NAME = 60
 
 
+def _is_positive(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and 0 < value < math.inf
+
+
 def _check_kinds(manifest: Mapping[str, Any]) -> None:
     """ValueError where an entry is no such thing as is written there: a checksum can be made anew by anybody."""
     if not (isinstance(manifest["status"], str) and manifest["status"] in STATUSES):
         raise ValueError(f"status {json.dumps(manifest['status'])} is none of {', '.join(STATUSES)}")
-    if not (isinstance(manifest["dt_s"], int | float) and 0 < manifest["dt_s"] < math.inf):
+    if not _is_positive(manifest["dt_s"]):
         raise ValueError("dt_s is no length of a step")
     if type(manifest["steps"]) is not int or not 0 <= manifest["steps"] < 2**31:
         raise ValueError("steps is no number of steps")
@@ -87,8 +92,9 @@ def _check_kinds(manifest: Mapping[str, Any]) -> None:
     if not isinstance(manifest.get("inventory", {}).get("tables", {}), dict):
         raise ValueError("inventory.tables is no section")
     text = json.dumps(manifest, ensure_ascii=False)
-    if not all(isinstance(spent_s, int | float) for spent_s in manifest.get("timings_s", {}).values()):
-        raise ValueError("timings_s holds something else than seconds")
+    for spent_s in manifest.get("timings_s", {}).values():
+        if not isinstance(spent_s, int | float):
+            raise ValueError("timings_s holds something else than seconds")
     if any(sign in text for sign in _CONTROL):
         raise ValueError("control characters, which a terminal would obey")
 
@@ -120,7 +126,8 @@ def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Ite
         yield problem
     for key, value in _repeated(manifest["config"]):
         if key in manifest and manifest[key] != value:
-            yield f"{MANIFEST}: {key} = {json.dumps(manifest[key])}, but its config says {json.dumps(value)}"
+            said = json.dumps(manifest[key])
+            yield f"{MANIFEST}: {key} = {said}, but its config says {json.dumps(value)}"
 
 
 def config_problem(folder: Path, manifest: Mapping[str, Any], is_only_begun: bool = False) -> str:
@@ -156,9 +163,9 @@ def steps_asked_for(config: Mapping[str, Any]) -> int | None:
     if not isinstance(traffic, dict):
         return None
     duration_s, step_s = traffic.get("duration_s"), traffic.get("step_s")
-    if not (isinstance(duration_s, int | float) and isinstance(step_s, int | float) and 0 < duration_s < 1e12):
+    if not _is_positive(duration_s) or not _is_positive(step_s) or duration_s >= 1e12:
         return None
-    return max(1, math.floor(duration_s / step_s + 1e-9)) if step_s > 0 else None
+    return max(1, math.floor(duration_s / step_s + 1e-9))
 
 
 def _repeated(config: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -166,11 +173,11 @@ def _repeated(config: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     traffic, interval_s = config.get("traffic"), config.get("sensing_interval_s")
     traffic = traffic if isinstance(traffic, dict) else {}
     step_s = traffic.get("step_s")
-    if isinstance(step_s, int | float) and step_s > 0:
+    if _is_positive(step_s):
         yield "dt_s", step_s
         yield "traffic_seed", traffic.get("seed")
         yield "roles", list(labels(Role))
-        if isinstance(interval_s, int | float) and 0 < interval_s < math.inf:
+        if _is_positive(interval_s):
             yield "sense_every_steps", round(interval_s / step_s)
     if "seed" in config:
         yield "seed", config["seed"]

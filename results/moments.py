@@ -104,12 +104,17 @@ class Moment:
     def row(self, actor: int) -> int:
         """Row of an actor that is on the road."""
         at = int(np.searchsorted(self.actor, actor))
-        assert at < len(self.actor) and self.actor[at] == actor, f"actor {actor} is not on the road"
+        is_here = at < len(self.actor) and self.actor[at] == actor
+        assert is_here, f"actor {actor} is not on the road"
         return at
 
 
 def _no_projection() -> Projection:
     raise ValueError("the run does not say where on Earth it is.")
+
+
+def _no_buildings() -> Float[ndarray, "0 3 3"]:
+    return np.zeros((0, 3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +123,7 @@ class Place:
 
     origin_m: tuple[float, float] = (0.0, 0.0)
     """The world's origin in the coordinates of the network [m]."""
-    buildings: Callable[[], Float[ndarray, "t 3 3"]] = lambda: np.zeros((0, 3, 3))
+    buildings: Callable[[], Float[ndarray, "t 3 3"]] = _no_buildings
     """Triangles of all buildings, world frame [m]."""
 
 
@@ -179,12 +184,11 @@ class Selection:
         -------
         Ascending steps, at most `UNIT_STEPS` in each array.
         """
-        used = np.unique(self.presence.step)
-        return [used[i : i + UNIT_STEPS] for i in range(0, len(used), UNIT_STEPS)]
+        return _in_units(np.unique(self.presence.step))
 
     def spans(self) -> list[Int[ndarray, "b"]]:
         """All chosen steps, whether or not a chosen vehicle is on the road, at most `UNIT_STEPS` in each array."""
-        return [self.steps[i : i + UNIT_STEPS] for i in range(0, len(self.steps), UNIT_STEPS)]
+        return _in_units(self.steps)
 
     @cached_property
     def bodies(self) -> pd.DataFrame:
@@ -232,14 +236,14 @@ class Selection:
                 visible={},
             )
 
-    def _pose_errors(self, where: pc.Expression) -> dict[int, dict[int, Float[ndarray, "3"]]]:
+    def _pose_errors(self, where: pc.Expression) -> dict[int, dict[int, ndarray]]:
         """Errors of the estimated poses of the chosen vehicles, by step and vehicle; none where poses are exact."""
         if "position_errors" not in self.run.tables:
             return {}
         chosen = pc.field("vehicle").isin(list(self.vehicles))
         rows = self.run.table("position_errors", where=where & chosen)
         error = rows[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(np.float64)
-        found: dict[int, dict[int, Float[ndarray, "3"]]] = {}
+        found: dict[int, dict[int, ndarray]] = {}
         for step, vehicle, of_vehicle in zip(rows.step.tolist(), rows.vehicle.tolist(), error, strict=True):
             found.setdefault(step, {})[vehicle] = of_vehicle
         return found
@@ -252,6 +256,10 @@ class Selection:
         found = self.run.table("detections", columns, where & pc.field("observer").isin(pseudonyms))
         found = found[found.transmitted]
         return found.assign(vehicle=found.observer.map(vehicle_of).astype(np.int64))
+
+
+def _in_units(steps: Int[ndarray, "s"]) -> list[Int[ndarray, "b"]]:
+    return [steps[i : i + UNIT_STEPS] for i in range(0, len(steps), UNIT_STEPS)]
 
 
 def _by_number(rows: pd.DataFrame, column: str) -> dict[int, pd.DataFrame]:
@@ -271,7 +279,8 @@ def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     found: dict[int, dict[int, Visible]] = {}
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         of_step = found.setdefault(int(step[begin]), {})
-        of_step[int(observer[begin])] = Visible(*(column[begin:end] for column in columns))
+        seen = [column[begin:end] for column in columns]
+        of_step[int(observer[begin])] = Visible(*seen)
     return found
 
 
@@ -295,8 +304,9 @@ def sensor_pose(box: Float[ndarray, "7"], above_roof_m: float) -> Float[ndarray,
 
 def corners_of(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 8 3"]:
     """The eight corners of each box, as data sets of OpenCOOD list them: four below, then four above."""
-    around = ((1, -1), (1, 1), (-1, 1), (-1, -1))
-    half = 0.5 * np.array([(x, y, z) for z in (-1, 1) for x, y in around])
+    around = ((0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5))
+    up = np.repeat([-0.5, 0.5], 4)
+    half = np.column_stack([(*around, *around), up])
     corner = half * box[:, None, 3:6]  # in the frame of each box
     corner[..., :2] = turned_by(box[:, None, 6], corner)
     return corner + box[:, None, :3]

@@ -66,8 +66,6 @@ def check_own(table: pd.DataFrame, place: str) -> pd.DataFrame:
 def measure_own(run: Run, metrics: Sequence[OwnMetric]) -> pd.DataFrame:
     """Values of users' metrics, in the columns of `measure`."""
     rows = [row for metric in metrics for row in metric.rows(run)]
-    table = pd.DataFrame(
-        [(row.metric, row.group, float(row.value), row.unit, row.label) for row in rows if row.value == row.value],
-        columns=["metric", "group", "value", "unit", "label"],
-    )
-    return table.assign(low=np.nan, high=np.nan, n_units=np.nan, note="")[COLUMNS]
+    table = pd.DataFrame(rows, columns=MetricRow._fields).astype({"value": float})
+    defined = table[table.value.notna()]
+    return defined.assign(low=np.nan, high=np.nan, n_units=np.nan, note="")[COLUMNS]

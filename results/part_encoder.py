@@ -63,11 +63,12 @@ class PartEncoder:
         return self._n
 
     def append(self, rows: Rows) -> None:
-        """Add rows as `given_rows` returns them."""
+        """Add rows as `given_rows` returns them, or none."""
         n = len(next(iter(rows.values())))
-        self._rows.append(rows)
-        self._n_new += n
-        self._n += n
+        if n:
+            self._rows.append(rows)
+            self._n_new += n
+            self._n += n
 
     def end_step(self) -> None:
         """Note that no rows of earlier steps follow.
@@ -110,14 +111,17 @@ class PartEncoder:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
         # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand.
-        given = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        given = {}
+        for name in rows[0]:
+            given[name] = np.concatenate([row[name] for row in rows])
         columns = stored_rows(given, self._columns)
         key = TABLES[table].key
         order, tied = _order(columns, key)
         if order is not None:
             columns = {name: values[order] for name, values in columns.items()}
         if len(tied):
-            named = ", ".join(f"{name} = {columns[name][tied[0]]}" for name in key)
+            first = tied[0]
+            named = ", ".join(f"{name} = {columns[name][first]}" for name in key)
             raise ValueError(f"Table {table} has two rows with {named}.")
         arrays = []
         for name, column in stored.items():

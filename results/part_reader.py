@@ -36,7 +36,8 @@ def plain(column: pa.Array, labels: Sequence[str]) -> np.ndarray:
         return column.to_numpy(zero_copy_only=False)
     found = column.dictionary.to_pylist()
     check_labels(found, labels)
-    codes = np.array([*map(list(labels).index, found), -1], np.int16)  # the last one is that of null
+    known = list(labels)
+    codes = np.array([*map(known.index, found), -1], np.int16)  # the last one is that of null
     rows = column.indices.fill_null(-1)
     return codes[rows.to_numpy(zero_copy_only=False)]
 
@@ -46,7 +47,8 @@ def as_stored(column: pa.ChunkedArray, kind: pa.DataType) -> pa.ChunkedArray:
     if not pa.types.is_dictionary(kind):
         return column.cast(kind)
     labels = column.combine_chunks().dictionary_encode()
-    return pa.chunked_array([pa.DictionaryArray.from_arrays(labels.indices.cast(pa.int8()), labels.dictionary)])
+    codes = labels.indices.cast(pa.int8())
+    return pa.chunked_array([pa.DictionaryArray.from_arrays(codes, labels.dictionary)])
 
 
 def check_labels(found: Sequence[str], known: Sequence[str]) -> None:

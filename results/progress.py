@@ -37,7 +37,11 @@ def progress(folder: Path) -> dict[str, Any]:
     wrong = "" if is_live else next(problems(folder, manifest, found), "")
     following = "cosim verify {folder}" if wrong else _NEXT[status]
     return {
-        "status": status, "steps": found.end_step, "steps_asked": steps_asked_for(manifest["config"]),
-        "blocks": len(found.blocks), "bytes": sum(part.n_bytes for part in found.parts),
-        "error": wrong or str(manifest.get("error", "")), "next": following.format(folder=shlex.quote(str(folder))),
-    }  # fmt: skip
+        "status": status,
+        "steps": found.end_step,
+        "steps_asked": steps_asked_for(manifest["config"]),
+        "blocks": len(found.blocks),
+        "bytes": sum(part.n_bytes for part in found.parts),
+        "error": wrong or str(manifest.get("error", "")),
+        "next": following.format(folder=shlex.quote(str(folder))),
+    }

@@ -1,6 +1,6 @@
 """Writing a run: one Parquet dataset per table, a block of steps at a time."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +14,15 @@ from cosim.base.durable import Damaged
 from results import inventory
 from results.columns import Level
 from results.inventory import CHECKPOINT, Block, Inventory
-from results.part_encoder import PartEncoder
+from results.part_encoder import PartEncoder, Rows
 from results.stored_columns import given_rows, stored_columns
 from results.tables import TABLES, kept
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table by name, masks included."""
+RowsByTable = Mapping[str, Sequence[Columns]]
+Files = Mapping[str, Sequence[bytes | memoryview]]
+"""Files of a checkpoint by name, piece by piece."""
 
 _MOST_LABELS = 127
 """Codes of a category are int8."""
@@ -72,7 +75,8 @@ class Recorder:
         self.labels = {"variants": tuple(variants), "roles": tuple(roles)}
         """Labels of this run; they belong into its manifest."""
         for what, given in self.labels.items():
-            if not 0 < len(given) <= _MOST_LABELS or len(set(given)) < len(given):
+            n = len(given)
+            if not 0 < n <= _MOST_LABELS or len(set(given)) < n:
                 raise ValueError(f"{what} = {list(given)}: 1 to {_MOST_LABELS} names, each once.")
         self.tables = kept(level)
         self._columns = {name: stored_columns(name, self.labels) for name in self.tables}
@@ -80,10 +84,11 @@ class Recorder:
         self._block, self._last_step = resume_at // block_steps, resume_at - 1
         self._pool = ThreadPoolExecutor(_ENCODERS, thread_name_prefix="encoder")
         self._parts = {name: self._part("part", name) for name in self.tables}
-        blocks = tuple(b for b in _committed(self.folder).blocks if b.end_step <= resume_at)
-        if blocks and not all((self.folder / part.name).exists() for part in blocks[-1].open):
-            blocks = (*blocks[:-1], replace(blocks[-1], open=()))  # those of a part of a block took their place
-        self.inventory = Inventory(blocks)
+        blocks = [block for block in _committed(self.folder).blocks if block.end_step <= resume_at]
+        opened = blocks[-1].open if blocks else ()
+        if not all((self.folder / part.name).exists() for part in opened):
+            blocks[-1] = replace(blocks[-1], open=())  # those of a part of a block took their place
+        self.inventory = Inventory(tuple(blocks))
         """What is on disk."""
         if (folder / inventory.FILE).exists():
             self.inventory = inventory.rewrite(self.folder, self.inventory)
@@ -119,9 +124,7 @@ class Recorder:
         self.reach(step)
         if table not in self.tables:
             return
-        rows = given_rows(table, step, columns, self._columns[table])
-        if len(next(iter(rows.values()))):
-            self._parts[table].append(rows)
+        self._parts[table].append(given_rows(table, step, columns, self._columns[table]))
 
     def reach(self, step: int) -> None:
         """Say that a step is done, with or without rows."""
@@ -139,8 +142,8 @@ class Recorder:
 
     def flush(
         self,
-        open_rows: Mapping[str, Sequence[Columns]] | None = None,
-        checkpoint: Mapping[str, Sequence[bytes | memoryview]] | None = None,
+        open_rows: RowsByTable | None = None,
+        checkpoint: Files | None = None,
     ) -> None:
         """Commit the block in memory.
 
@@ -157,14 +160,14 @@ class Recorder:
 
     def _commit(
         self,
-        open_rows: Mapping[str, Sequence[Columns]],
-        checkpoint: Mapping[str, Sequence[bytes | memoryview]],
+        open_rows: RowsByTable,
+        checkpoint: Files,
         is_last: bool = False,
     ) -> None:
         """Commit a block. The last one has a file for each table without any row, so that all tables can be read."""
         begun = {part.table for part in self.inventory.parts} if is_last else set(self._parts)
-        end_step = self._last_step + 1
-        opening = [self._part("open", name, rows) for name, rows in self._made(open_rows, end_step - 1)]
+        opening = [self._part("open", *rows) for rows in self._made(open_rows).items()]
+        opening = [part for part in opening if len(part)]
         for waiting in sorted((*self._parts.values(), *opening), key=len, reverse=True):
             waiting.end_block()
         files = {f"{CHECKPOINT}/{name}": content for name, content in checkpoint.items()}
@@ -177,12 +180,17 @@ class Recorder:
                 [of for name, of in self._parts.items() if len(of) or name not in begun],
             )
             to_open = disk.map(lambda p: p.finish(f"open-{number}"), opening)
-            to_keep = disk.map(lambda name: durable.write(self.folder / name, *files[name]), files)
-            parts, opened, kept_as = tuple(to_write), tuple(to_open), dict(zip(files, to_keep, strict=True))
-            names = sorted({part.table for part in (*parts, *opened)} | ({CHECKPOINT} if files else set()))
-            tuple(disk.map(durable.sync_folder, [self.folder / name for name in names]))
-        block = Block(self._block, end_step, self.is_block_end(end_step - 1), parts, opened, kept_as)
-        before, self.inventory = self.inventory, inventory.commit(self.folder, self.inventory, block)
+            to_keep = disk.map(self._keep, files.items())
+            parts, opened = tuple(to_write), tuple(to_open)
+            kept_as = dict(zip(files, to_keep, strict=True))
+            names = {part.table for part in (*parts, *opened)}
+            if files:
+                names.add(CHECKPOINT)
+            tuple(disk.map(durable.sync_folder, [self.folder / name for name in sorted(names)]))
+        is_whole = self.is_block_end(self._last_step)
+        block = Block(self._block, self._last_step + 1, is_whole, parts, opened, kept_as)
+        before = self.inventory
+        self.inventory = inventory.commit(self.folder, before, block)
         self._parts = {name: self._part("part", name) for name in self._parts}
         if before.blocks:
             for part in before.blocks[-1].open:
@@ -192,10 +200,10 @@ class Recorder:
                 for name in filter(is_state, block.checkpoint):
                     (self.folder / name).unlink(missing_ok=True)
 
-    def close(self, final_rows: Mapping[str, Sequence[Columns]] | None = None) -> None:
+    def close(self, final_rows: RowsByTable | None = None) -> None:
         """Commit what is left, and the rows of what ends with the run (`final_rows`, by table)."""
         is_committed = self._last_step < self.inventory.end_step
-        for name, rows in self._made(final_rows or {}, self._last_step):
+        for name, rows in self._made(final_rows or {}).items():
             for columns in rows:
                 self._parts[name].append(columns)
         if is_committed and any(len(part) for part in self._parts.values()):
@@ -204,16 +212,24 @@ class Recorder:
             return
         self._commit({}, {}, is_last=True)
 
-    def _part(self, kind: str, table: str, rows: Sequence[dict[str, ndarray]] = ()) -> PartEncoder:
+    def _part(self, kind: str, table: str, rows: Sequence[Rows] = ()) -> PartEncoder:
         partial = self.folder / table / f"{kind}-next{durable.PARTIAL}"
         return PartEncoder(partial, table, self._columns[table], self._pool, rows)
 
-    def _made(self, rows: Mapping[str, Sequence[Columns]], step: int) -> Iterator[tuple[str, list[dict[str, ndarray]]]]:
-        for name, several in rows.items():
+    def _keep(self, file: tuple[str, Sequence[bytes | memoryview]]) -> str:
+        """Write a file of a checkpoint and return its checksum."""
+        name, content = file
+        return durable.write(self.folder / name, *content)
+
+    def _made(self, given: RowsByTable) -> dict[str, list[Rows]]:
+        """Rows at the last step, by table, as `given_rows` returns them, without those of tables that are not kept."""
+        step = self._last_step
+        made = {}
+        for name, several in given.items():
             if name in self.tables:
-                made = [given_rows(name, step, columns, self._columns[name]) for columns in several]
-                if made := [columns for columns in made if len(next(iter(columns.values())))]:
-                    yield name, made
+                stored = self._columns[name]
+                made[name] = [given_rows(name, step, columns, stored) for columns in several]
+        return made
 
     def _tidy(self) -> None:
         """Remove what belongs to no committed block."""

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -134,8 +135,9 @@ _SECTIONS = ("Figures", "Numbers", "Tables", "Provenance")
 def _span(run: Run) -> str:
     net = run.manifest.get("net", {}).get("name", "a network")
     seed = run.manifest.get("seed", "unknown")
-    steps = run.manifest["steps"]
-    return f"Co-simulation of {net}: {steps * run.dt_s:g} s in {steps} steps of {run.dt_s:g} s, seed {seed}."
+    steps, dt_s = run.manifest["steps"], run.dt_s
+    time = f"{steps * dt_s:g} s in {steps} steps of {dt_s:g} s"
+    return f"Co-simulation of {net}: {time}, seed {seed}."
 
 
 def _facts(numbers: pd.DataFrame) -> str:
@@ -159,7 +161,8 @@ def _facts(numbers: pd.DataFrame) -> str:
             where = f" ({row.group})" if group is None and row.group else ""
             where += f", {row.note}" if row.note == "has not attacked" else ""
             where += ", no better than chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
-            boxes.append(f"<div><b>{_number(row.value, row.unit)}</b><span>{escape(text + where)}</span></div>")
+            value = _number(row.value, row.unit)
+            boxes.append(f"<div><b>{value}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'
 
 
@@ -189,7 +192,8 @@ def _n_points(artist: Any) -> int:
     if hasattr(artist, "get_xdata"):
         return len(artist.get_xdata())
     if hasattr(artist, "get_paths"):
-        return max(len(artist.get_offsets()), sum(len(path.vertices) for path in artist.get_paths()))
+        n_vertices = sum(len(path.vertices) for path in artist.get_paths())
+        return max(len(artist.get_offsets()), n_vertices)
     return len(artist.get_path().vertices)
 
 
@@ -218,8 +222,9 @@ def _row(row: Any, is_first: bool) -> str:
     metric = METRICS[row.metric]
     label = escape(metric.label) if is_first else ""
     identifier = f"<code>{row.metric}</code>" if is_first else ""
+    more = "" if is_first else " class=more"
     return (
-        f"<tr{'' if is_first else ' class=more'}><td title='{escape(metric.definition, quote=True)}'>{label}</td>"
+        f"<tr{more}><td title='{escape(metric.definition)}'>{label}</td>"
         f'<td>{identifier}</td><td>{escape(row.group)}</td><td class="number">{_number(row.value, row.unit)}</td>'
         f'<td class="number soft">{_interval(row.low, row.high)}</td><td class="soft">{escape(row.note)}</td></tr>'
     )
@@ -249,23 +254,26 @@ def _virtual(column: Column) -> str:
 def _provenance(run: Run) -> str:
     manifest = {**run.manifest, "folder": str(run.path), "schema_version": SCHEMA_VERSION}
     names = ("folder", "status", "seed", "schema_version", "net", "versions", "source", "timings_s", "summary")
-    rows = "".join(f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>" for name in names if name in manifest)
+    rows = ""
+    for name in names:
+        if name in manifest:
+            rows += f"<tr><td>{name}</td><td>{_value(manifest[name])}</td></tr>"
     config = escape(json.dumps(run.config, indent=2, ensure_ascii=False))
     return f"<table>{rows}</table><details open><summary>Resolved configuration</summary><pre>{config}</pre></details>"
 
 
 def _value(value: Any) -> str:
     if isinstance(value, dict):
-        if not value:
-            return "none"
-        return "<br>".join(f"{escape(str(name))}: {_value(item)}" for name, item in value.items())
+        lines = [f"{escape(name)}: {_value(item)}" for name, item in value.items()]
+        return "<br>".join(lines) or "none"
     return escape(f"{value:g}" if isinstance(value, float) else str(value))
 
 
 def _number(value: float, unit: str) -> str:
     if pd.isna(value):
         return "-"
-    text = f"{value:,.0f}" if value == int(value) and abs(value) < 1e15 else f"{value:.3g}"
+    is_whole = float(value).is_integer() and abs(value) < 1e15
+    text = f"{value:,.0f}" if is_whole else f"{value:.3g}"
     return text if unit in ("", "1") else f"{text} {escape(unit)}"
 
 
@@ -278,5 +286,4 @@ def _interval(low: float, high: float) -> str:
 
 def _code(text: str) -> str:
     """Text with `names` set as code."""
-    halves = escape(text).split("`")
-    return "".join(f"<code>{half}</code>" if i % 2 else half for i, half in enumerate(halves))
+    return re.sub("`(.*?)`", r"<code>\1</code>", escape(text), flags=re.DOTALL)

@@ -31,7 +31,11 @@ def phase_steps(run: Run, vehicle: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
     return _schedule(run)[1][vehicle]
 
 
-def senses(run: Run, step: Int[ndarray, "k"], vehicle: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+def senses(
+    run: Run,
+    step: Int[ndarray, "k"],
+    vehicle: Int[ndarray, "k"],
+) -> Bool[ndarray, "k"]:
     """Whether each vehicle, which is on the road and equipped, senses in the step in the same row, if it senses at all.
 
     Parameters
@@ -63,7 +67,8 @@ def sampling_stride(run: Run, least: int) -> int:
     Every n-th step has the same share of each vehicle's sweeps if n has no factor in common with any sensing interval.
     """
     interval, _ = _schedule(run)
-    stride, common = max(1, least), math.lcm(*np.unique(interval).tolist())
+    common = math.lcm(*np.unique(interval).tolist())
+    stride = max(1, least)
     while not is_lock_step(run) and math.gcd(stride, common) > 1:
         stride += 1
     return stride

@@ -46,7 +46,8 @@ class Database:
         folders."""
         self._tables, self._files, self._require = tables, files, require
         self._connection = duckdb.connect(config=_CONFIG)
-        self._connection.execute(f"SET allowed_directories = {_listed([*map(str, folders), *map(_itself, folders)])}")
+        allowed = _listed([*map(str, folders), *map(_itself, folders)])
+        self._connection.execute(f"SET allowed_directories = {allowed}")
         self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
 
     def answer(self, query: str, values: Mapping[str, Any], steps: Steps | None = None) -> pd.DataFrame:

@@ -174,7 +174,11 @@ class StudyResults:
         return f"Study({str(self.path)!r}: {len(self.points)} points, {states}, swept {swept})"
 
 
-def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bounds] = lambda _: FREE) -> pd.DataFrame:
+def intervals(
+    frame: pd.DataFrame,
+    by: Sequence[str],
+    bounds: Callable[[str], Bounds] = lambda _: FREE,
+) -> pd.DataFrame:
     """Mean of the column `value` in each group, with its 95 % interval (`intervals.around`).
 
     Parameters
@@ -192,11 +196,13 @@ def intervals(frame: pd.DataFrame, by: Sequence[str], bounds: Callable[[str], Bo
     """
     values = frame.groupby(list(by), sort=False, dropna=False).value
     found = values.agg(n="count", mean="mean", s="std").reset_index()
-    metric = found.metric if "metric" in by else [""] * len(found)
+    names = found.metric if "metric" in by else [""] * len(found)
+    means = found["mean"]
     ends = []
-    for mean, s, n, name in zip(found["mean"], found.s, found.n, metric, strict=True):
+    for mean, s, n, name in zip(means, found.s, found.n, names, strict=True):
         error = s / n**0.5 if n > 1 else float("nan")
-        ends.append(around(mean, error, max(n - 1, 1), bounds(name))[1:3])
+        estimate = around(mean, error, max(n - 1, 1), bounds(name))
+        ends.append(estimate[1:3])
     low, high = np.array(ends, float).reshape(-1, 2).T
     return found.assign(low=low, high=high).drop(columns="s")
 
@@ -228,16 +234,18 @@ def open_study(path: str | Path) -> StudyResults:
 def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
     """Raise ValueError if an index is not what a sweep writes: anybody can have changed it."""
     kinds = {"name": str, "question": str, "keys": list, "baseline": dict}
-    if wrong := [name for name, kind in kinds.items() if not isinstance(head[name], kind)]:
-        raise ValueError(f"{wrong[0]} is of another kind")
-    wanted = *_POINTS, *head["keys"], *head["baseline"]
-    if lacking := [str(name) for name in wanted if name not in points.columns]:
-        raise ValueError(f"it has no column {lacking[0]}")
+    for name, kind in kinds.items():
+        if not isinstance(head[name], kind):
+            raise ValueError(f"{name} is of another kind")
+    for column in (*_POINTS, *head["keys"], *head["baseline"]):
+        if column not in points.columns:
+            raise ValueError(f"it has no column {column}")
     if len(points.columns) != len(set(points.columns)):
         raise ValueError("it has a column twice")
     for name in ("point", "run", "variant", "state"):
-        if not all(isinstance(text, str) and Path(text).name == text for text in points[name]):
-            raise ValueError(f"{name} holds something else than names")
+        for text in points[name]:
+            if not isinstance(text, str) or Path(text).name != text:
+                raise ValueError(f"{name} holds something else than names")
     if points.replicate.dtype.kind not in "iu" or not points.point.is_unique:
         raise ValueError("replicate holds something else than numbers, or a point is there twice")
 
@@ -290,8 +298,8 @@ def apart(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     varied = [key for key in keys if n[key] > 1]
     found: list[str] = []
     for key in sorted(varied, key=lambda key: -n[key]):
-        together = [one for one in found if len(frame[[one, key]].drop_duplicates()) == n[one]]
-        if not together:
+        n_pairs = {one: len(frame[[one, key]].drop_duplicates()) for one in found}
+        if all(n_pairs[one] > n[one] for one in found):
             found.append(key)
     return [key for key in keys if key in found]
 
@@ -345,7 +353,9 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     kept = np.zeros(len(frame), bool)
     for name in metrics:
         metric, _, group = name.partition(":")
-        rows = frame.metric.str.startswith(metric + ".") if metric in TOPICS else frame.metric == metric
+        rows = frame.metric == metric
+        if metric in TOPICS:
+            rows = frame.metric.str.startswith(f"{metric}.")
         if group:
             rows = rows & (frame.group == group)
         if not rows.any():
@@ -410,7 +420,7 @@ def distinct(values: pd.Series) -> list[Any]:
 def short_names(values: Iterable[Any]) -> dict[Any, str]:
     """Values of a swept key as figures and tables say them: files by the shortest names that tell them apart."""
     texts = {value: said(value) for value in dict.fromkeys(values)}
-    files = [value for value, text in texts.items() if isinstance(value, str) and text.startswith("/")]
+    files = [value for value, text in texts.items() if text.startswith("/")]
     longest = max((text.count("/") for text in texts.values()), default=0)
     ways: list[Callable[[str], str]] = [_stem]
     ways += [partial(_end, n) for n in range(1, longest + 1)]
@@ -471,10 +481,11 @@ def held_at(frame: pd.DataFrame, key: str, text: str) -> pd.DataFrame:
 
 
 def _is_said(value: Any, name: str, text: str) -> bool:
-    if text in (str(value), name) or text.lower() == str(value).lower() in ("true", "false"):
-        return True
+    plain = str(value)
+    if plain.lower() in ("true", "false"):
+        return text.lower() == plain.lower()
     try:
-        return not isinstance(value, bool | np.bool_) and float(value) == float(text)
+        return text in (plain, name) or float(plain) == float(text)
     except ValueError:
         return False
 

@@ -36,7 +36,7 @@ def counts(run: Run) -> pd.DataFrame:
         except ValueError:  # it has none, or keeps none
             continue
     if not parts:
-        return pd.DataFrame({name: pd.Series([], dtype=kind) for name, kind in COLUMNS.items()})
+        return pd.DataFrame(columns=[*COLUMNS]).astype(COLUMNS)
     return pd.concat(parts, ignore_index=True)[[*COLUMNS]].astype(COLUMNS)
 
 

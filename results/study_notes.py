@@ -46,7 +46,8 @@ def few(measures: pd.DataFrame, by: Sequence[str]) -> list[str]:
     means = of_means.agg(runs=("note", "size"), few=("n", "count"), least=("n", "min"), most=("n", "max"))
     where = np.where(means.few < means.runs, "in most runs", "per run")
     units = of_means.units.first()
-    texts: pd.Series = "few " + units + ": " + list(map(_span, means.least, means.most)) + " " + where
+    spans = list(map(_span, means.least, means.most))
+    texts: pd.Series = "few " + units + ": " + spans + " " + where
     are_most = means.few > means.runs / 2
     return list(texts.where(are_most, ""))
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,8 @@ def write(study: StudyResults, path: str | Path | None = None, part: str = "") -
 
 def page(study: StudyResults, part: str = "") -> str:
     """The page as HTML."""
-    states = ", ".join(f"{n} {state}" for state, n in study.points.state.value_counts().items())
+    n_points = study.points.state.value_counts()
+    states = ", ".join(f"{n} {state}" for state, n in n_points.items())
     replicates = counted(study.points.replicate.nunique(), "replicate")
     points = counted(len(study.points), "point")
     runs = counted(len(set(study.points["run"]) - {""}), "run")
@@ -279,14 +281,21 @@ def _figures(study: StudyResults, title: str, others: Sequence[str], draw: Draw)
     boxes = "".join(map(_box, labels.values(), values))
     images = ""
     for at in shown:
-        where = {key: some[number] for key, some, number in zip(others, values, at, strict=True)}
+        shown_values = map(getitem, values, at)
+        where = dict(zip(others, shown_values, strict=True))
         images += _at_values(title, " ".join(map(str, at)), where, labels, draw)
     rest = len(all_sets) - len(shown)
     note = f"<p class='soft'>{rest} more combinations: `cosim plot` with --where draws them.</p>" if rest else ""
     return f"<figure><h3>{escape(title)}</h3><p>{boxes}</p>{images}{note}</figure>"
 
 
-def _at_values(title: str, numbers: str, where: Mapping[str, str], labels: Mapping[str, str], draw: Draw) -> str:
+def _at_values(
+    title: str,
+    numbers: str,
+    where: Mapping[str, str],
+    labels: Mapping[str, str],
+    draw: Draw,
+) -> str:
     """The figure at one value of each of these keys, with the numbers of the values in their select boxes."""
     words = [f"{name} = {where[key]}" for key, name in labels.items()]
     name = ", ".join(words)

@@ -157,7 +157,11 @@ def together(study: StudyResults) -> list[str]:
     return lines
 
 
-def unpaired(study: StudyResults, metrics: Sequence[str], where: Mapping[str, str] | None = None) -> list[str]:
+def unpaired(
+    study: StudyResults,
+    metrics: Sequence[str],
+    where: Mapping[str, str] | None = None,
+) -> list[str]:
     """Lines on values of the baseline's keys at which these metrics have a value, and no difference to the baseline."""
     if not study.baseline or not metrics:
         return []

@@ -1,7 +1,7 @@
 """Every table and column of a run, as `schema.toml` declares them. Parquet schemas and documentation follow from it."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +35,8 @@ def _read(text: str) -> dict[str, Table]:
     return tables
 
 
-def _column(labels: str | list[str] = "", **keys: Any) -> Column:
-    found = codes.labels(getattr(codes, labels)) if labels and isinstance(labels, str) else tuple(labels)
+def _column(labels: str | Sequence[str] = (), **keys: Any) -> Column:
+    found = codes.labels(getattr(codes, labels)) if isinstance(labels, str) else tuple(labels)
     return Column(categories=found, **keys)
 
 
@@ -45,7 +45,8 @@ TABLES: Mapping[str, Table] = _read(_FILE.read_text(encoding="utf-8"))
 
 def kept(level: Level) -> tuple[str, ...]:
     """Names of the tables that a run of this record level contains."""
-    return tuple(name for name, table in TABLES.items() if LEVELS.index(table.level) <= LEVELS.index(level))
+    levels = LEVELS[: LEVELS.index(level) + 1]
+    return tuple(name for name, table in TABLES.items() if table.level in levels)
 
 
 def schema(name: str, whole: bool = False) -> pa.Schema:

@@ -17,7 +17,7 @@ from results.tables import SCHEMA_VERSION, TABLES, kept
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
 
 
-def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
+def verify(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Check a run folder against its inventory.
 
     Returns
@@ -25,7 +25,6 @@ def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     Status, steps, tables, parts, rows and bytes; and one line per problem, none if the folder is intact. While a
     process writes the run, only whole blocks are checked.
     """
-    folder = Path(folder)
     is_live = durable.is_locked(folder)
     try:
         manifest = read_manifest(folder)
@@ -35,16 +34,21 @@ def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
         return {"status": "damaged", "steps": 0, "tables": 0, "parts": 0, "rows": 0, "bytes": 0}, [str(damage)]
     wrong = list(_problems(folder, manifest, found, is_live))
     parts = found.parts
-    return {
-        "status": status_of(folder, manifest), "steps": found.end_step, "tables": len({part.table for part in parts}),
-        "parts": len(parts), "rows": sum(part.n_rows for part in parts), "bytes": sum(part.n_bytes for part in parts),
-    }, wrong  # fmt: skip
+    summary = {
+        "status": status_of(folder, manifest),
+        "steps": found.end_step,
+        "tables": len({part.table for part in parts}),
+        "parts": len(parts),
+        "rows": sum(part.n_rows for part in parts),
+        "bytes": sum(part.n_bytes for part in parts),
+    }
+    return summary, wrong
 
 
 def links(folder: Path) -> list[str]:
     """Names in a run folder that are symbolic links where files or folders of the run should be."""
     ours = {*TABLES, *_OWN, CHECKPOINT}
-    return [path.name for path in sorted(folder.iterdir()) if path.is_symlink() and path.name in ours]
+    return [name for name in sorted(ours) if (folder / name).is_symlink()]
 
 
 def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live: bool) -> Iterator[str]:
@@ -67,7 +71,9 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live:
         wrong = list(problems_of(folder, table, found, manifest["status"] in ENDED, is_live))
         yield from wrong
         for part in listed:
-            if not any(line.startswith(part.name) for line in wrong) and (problem := content_problem(folder, part)):
+            is_named = any(line.startswith(part.name) for line in wrong)
+            problem = "" if is_named else content_problem(folder, part)
+            if problem:
                 yield problem
     whole = found.whole().blocks
     for block in whole if manifest["status"] != "finished" and not is_live else ():

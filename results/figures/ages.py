@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import freshness
@@ -41,8 +40,8 @@ def draw(runs: Sequence[Run]) -> Figure:
             lowest = min(lowest, float(older.min()))
             shortest_s = min(shortest_s, float(age_s.min()))
             longest_s = max(longest_s, float(age_s.max()))
-    style.panel(axes, "Ages of trust when it is looked up", axis_label("trust_lookups", "age_s", "Age"),
-                "Share that is older")  # fmt: skip
+    age = axis_label("trust_lookups", "age_s", "Age")
+    style.panel(axes, "Ages of trust when it is looked up", age, "Share that is older")
     if not shown:
         raise reasons[0]
     axes.set_xscale("log")
@@ -56,6 +55,6 @@ def draw(runs: Sequence[Run]) -> Figure:
         if len(runs) > 1:
             look["color"] = "black"
         name = "the value itself" if kinds[k] == "value" else kinds[k]
-        entries.append(Line2D([], [], label=name, **look))
+        entries.append(style.entry(name, **look))
     style.legend(figure, entries, style.colour_entries(runs))
     return figure

@@ -36,24 +36,33 @@ def draw(
     """
     if not streets:
         raise ValueError("A city without a street cannot be drawn.")
-    corners = np.concatenate([np.asarray(street)[:, :2] for street in streets])
+    lines = [street[:, :2] for street in streets]
+    corners = np.concatenate(lines)
     low, high = corners.min(axis=0), corners.max(axis=0)
     span = np.maximum(high - low, 1.0)
     side = style.WIDTH - 0.5
-    height = float(np.clip(side * span[1] / span[0] + 0.6, 1.4, 5.0))
+    height = side * span[1] / span[0] + 0.6
+    height = float(np.clip(height, 1.4, 5.0))
     figure, (axes,) = style.sheet(height=height)
     scale = 72 * min(side / span[0], height / span[1])  # points per metre
-    axes.add_collection(PolyCollection([b[:, :2] for b in buildings], facecolor=style.PALE, edgecolor="none"))
+    rings = [ring[:, :2] for ring in buildings]
+    axes.add_collection(PolyCollection(rings, facecolor=style.PALE, edgecolor="none"))
     thick = np.maximum(np.asarray(widths_m) * scale, 0.15)
-    axes.add_collection(LineCollection([s[:, :2] for s in streets], colors=style.INKS[0], linewidths=thick))
+    axes.add_collection(LineCollection(lines, colors=style.INKS[0], linewidths=thick))
     margin = 0.02 * span.max()
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     style.map_panel(axes, title)
     if attribution:
         axes.annotate(
-            attribution, (1, 0), xycoords="axes fraction", xytext=(-3, 3), textcoords="offset points", ha="right",
-            fontsize=style.SMALLEST, color="#444444",
+            attribution,
+            (1, 0),
+            xycoords="axes fraction",
+            xytext=(-3, 3),
+            textcoords="offset points",
+            ha="right",
+            fontsize=style.SMALLEST,
+            color="#444444",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
-        )  # fmt: skip
+        )
     return figure

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import encounters
@@ -26,14 +25,19 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     for i, curve in enumerate(curves):
         for kind, one in curve.groupby([*encounters.DEFINITION], observed=True):
             code = kinds.index(kind)
+            color = style.ink(code)
             axes.plot(
-                one.duration_s, one.survival, drawstyle="steps-post", color=style.ink(code), linestyle=style.dash(i),
-                marker=style.marker(code), markevery=0.08,
-            )  # fmt: skip
-            axes.fill_between(
-                one.duration_s, one.low, one.high, step="post", color=style.ink(code), alpha=0.15, linewidth=0
+                one.duration_s,
+                one.survival,
+                drawstyle="steps-post",
+                color=color,
+                linestyle=style.dash(i),
+                marker=style.marker(code),
+                markevery=0.08,
             )
-            longest_s = max(longest_s, float(one.duration_s[one.survival.shift(fill_value=1.0) >= 0.01].max()))
+            axes.fill_between(one.duration_s, one.low, one.high, step="post", color=color, alpha=0.15, linewidth=0)
+            before = one.survival.shift(fill_value=1.0)
+            longest_s = max(longest_s, float(one.duration_s[before >= 0.01].max()))
     if not longest_s:
         axes.text(0.5, 0.5, "too few encounters", transform=axes.transAxes, ha="center", color="#666666")
     style.panel(
@@ -41,9 +45,8 @@ def draw(runs: Sequence[Run], departure: encounters.Departure = "ends") -> Figur
     )
     style.share_axis(axes)
     axes.set_xlim(0, max(longest_s, 1.0) * 1.02)
-    entries = [
-        Line2D([], [], color=style.ink(code), marker=style.marker(code), label=label)
-        for code, label in enumerate(labels)
-    ]
+    entries = []
+    for code, label in enumerate(labels):
+        entries.append(style.entry(label, color=style.ink(code), marker=style.marker(code)))
     style.legend(figure, entries, style.run_entries(runs))
     return figure

@@ -19,7 +19,8 @@ def draw(runs: Sequence[Run]) -> Figure:
     if len(runs) == 1:
         roles = freshness.states(runs[0]).role.unique()
         bars, labels = [_shares(runs[0], role) for role in roles], list(roles)
-    figure, (ages, shares) = style.sheet(2, max(2.2, 0.8 + 0.2 * len(bars)))
+    height = 0.8 + 0.2 * len(bars)
+    figure, (ages, shares) = style.sheet(2, max(2.2, height))
     longest_s = 0.0
     for i, run in enumerate(runs):
         for what, dash in (("newest evaluation", style.dash(0)), ("value", style.dash(2))):
@@ -40,16 +41,15 @@ def draw(runs: Sequence[Run]) -> Figure:
         ages.legend(loc="lower right")
     for i, bar in enumerate(bars):
         style.shares_bar(shares, i, bar, _FILLS)
-    style.panel(
-        ages, "Age when looked up" if len(runs) == 1 else "Age (dotted: the value)",
-        axis_label("trust_lookups", "age_s", "Age"), "Share of values at most this old",
-    )  # fmt: skip
+    title = "Age when looked up" if len(runs) == 1 else "Age (dotted: the value)"
+    style.panel(ages, title, axis_label("trust_lookups", "age_s", "Age"), "Share of values at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
     style.panel(shares, "What stands behind lookups" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")
     style.bars_axis(shares, labels)
     entries = style.bar_entries(freshness.STATES, _FILLS)
-    there = [entry for entry, *found in zip(entries, *bars, strict=True) if any(found)]
+    of_states = zip(entries, *bars, strict=True)
+    there = [entry for entry, *found in of_states if any(found)]
     style.legend(figure, there, style.colour_entries(runs))
     return figure
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import misbehaviour, trust
@@ -47,7 +46,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)
     style.share_axis(delays)
     delays.set_xlim(left=0)
-    mark = Line2D([], [], color="#444444", marker="o", linestyle="", label=f"above: threshold at {few}")
+    mark = style.entry(f"above: threshold at {few}", color="#444444", marker="o", linestyle="")
     style.legend(figure, [*style.role_entries(shown, roles), mark], style.run_entries(runs))
     return figure
 
@@ -59,8 +58,14 @@ def _delays(axes: Axes, run: Run, roles: Sequence[str], threshold: float, dash: 
     for role, one in found.groupby("role", observed=True):
         shown.add(str(role))
         curve = misbehaviour.waiting(one)
+        look = style.role_look(str(role), roles)
+        markers = 2 * roles.index(str(role)), style.sparse(len(curve), 6)
         axes.plot(
-            curve.duration_s, 1 - curve.survival, drawstyle="steps-post", linestyle=dash,
-            markevery=(2 * roles.index(str(role)), style.sparse(len(curve), 6)), **style.role_look(str(role), roles),
-        )  # fmt: skip
+            curve.duration_s,
+            1 - curve.survival,
+            drawstyle="steps-post",
+            linestyle=dash,
+            markevery=markers,
+            **look,
+        )
     return shown

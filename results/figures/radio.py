@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy import ndarray
 
 from results.figures import style
 from results.metrics import radio
@@ -25,10 +26,11 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
     """Packet delivery ratio by distance and over time, losses by cause, latency, packet inter-reception time, channel
     busy ratio; maps of a single run."""
     runs = style.arranged(runs)
-    alone = len(runs) == 1 and "vehicle_channel" in runs[0].tables and "actors" in runs[0].tables
-    figure, (distance, losses, late, gaps, timed, busy, *last) = style.sheet(7 if alone else 6, 1.8)
+    has_maps = len(runs) == 1 and {"vehicle_channel", "actors"}.issubset(runs[0].tables)
+    figure, panels = style.sheet(7 if has_maps else 6, 1.8)
+    distance, losses, late, gaps, timed, busy = panels[:6]
     maps: list[Axes] = []
-    for axes in last:
+    for axes in panels[6:]:
         place = axes.get_subplotspec()
         assert place is not None
         axes.remove()
@@ -70,20 +72,16 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
         style.share_axis(axes)
     for axes in (distance, timed, busy):
         axes.set_xlim(left=0)
-    known = [float(run.radio.cbr.max()) for run in runs if run.radio.cbr.notna().any()]
-    if known:
-        busy.set_ylim(0, 1.1 * max(*known, 1e-3))
+    most = pd.Series([float(run.radio.cbr.max()) for run in runs]).max()
+    if most == most:
+        busy.set_ylim(0, 1.1 * max(most, 1e-3))
     else:
         busy.text(0.5, 0.5, "not modelled", transform=busy.transAxes, ha="center", color="#666666")
     if maps:
         _maps(figure, maps, runs[0], cell_m)
-    entries: list[Any] = [
-        entry
-        for entry, part in zip(
-            style.bar_entries([n.strip("_").replace("_", " ") for n in _PARTS], _FILLS), _PARTS, strict=True
-        )
-        if part in occurs
-    ]
+    names = [part.strip("_").replace("_", " ") for part in _PARTS]
+    bars = dict(zip(_PARTS, style.bar_entries(names, _FILLS), strict=True))
+    entries: list[Any] = [bar for part, bar in bars.items() if part in occurs]
     if len(states) > 1:
         entries += [_los_entry(state) for state in states]
     style.legend(figure, entries, style.series_entries(runs))
@@ -104,7 +102,7 @@ def _by_distance(axes: Axes, run: Run, line: dict[str, Any]) -> None:
 
 def _los_entry(state: str) -> Line2D:
     fill = "white" if state == "nlos" else "#444444"
-    return Line2D([], [], color="#444444", marker="o", markerfacecolor=fill, label=_LOS_STATES[state])
+    return style.entry(_LOS_STATES[state], color="#444444", marker="o", markerfacecolor=fill)
 
 
 def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
@@ -115,7 +113,7 @@ def _late(axes: Axes, run: Run, line: dict[str, Any]) -> None:
         return
     curve = found.groupby("latency_s").n_delivered.sum()
     share = curve.cumsum() / curve.sum()
-    axes.plot(1e3 * share.index, share.to_numpy(), **line, markevery=style.sparse(len(share)))
+    axes.plot(1e3 * share.index, share, **line, markevery=style.sparse(len(share)))
     axes.set_xscale("log")
     style.numbered(axes.xaxis)
 
@@ -152,7 +150,7 @@ def _maps(figure: Figure, panels: Sequence[Axes], run: Run, cell_m: float) -> No
             figure.colorbar(mesh, ax=axes, shrink=0.5)
 
 
-def _grid(cells: pd.DataFrame, column: str, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grid(cells: pd.DataFrame, column: str, cell_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """Edges of the cells, and their values by (north, east)."""
     west_m, south_m = cells.x_m.min(), cells.y_m.min()
     east = ((cells.x_m - west_m) / cell_m).round().astype(int)

@@ -153,7 +153,7 @@ def draw(
     at = _held_at(study, asked, where or {})
     if not at and "radius_m" in keys:
         at = _of_one_definition(study, of_metrics)
-    if colour and not column and all(frame[key].dtype.kind not in "fib" for key in (x, colour)):
+    if colour and not column and are_words(frame[x]) and are_words(frame[colour]):
         return _heat_maps(frame, asked, x, colour, at)
     columns = distinct(frame[column]) if column else [None]
     if len(columns) > MOST_PANELS:
@@ -164,9 +164,11 @@ def draw(
 def _held_at(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]) -> list[Line2D]:
     """An entry of the legend: the values at which keys are held, of those that change these metrics."""
     matter = _matter(study, asked, {}) if where else []
-    labels = {key: label_of(key, study.keys) for key in matter}
-    names = [f"{labels[key]} = {value}" for key, value in where.items() if key in labels]
-    return [style.held_entry(", ".join(names))] if names else []
+    texts = []
+    for key, value in where.items():
+        if key in matter:
+            texts.append(f"{label_of(key, study.keys)} = {value}")
+    return [style.held_entry(", ".join(texts))] if texts else []
 
 
 def _of_one_definition(study: StudyResults, of_metrics: pd.DataFrame) -> list[Line2D]:
@@ -203,13 +205,13 @@ def shown(study: StudyResults, topic: str) -> list[str]:
     A metric with several groups gets one of them, `all` if it is there. Encounters keep all: their groups are keys of
     the figure.
     """
-    pairs = set(zip(study.summary.metric, study.summary.group, strict=True))
+    groups_of = study.summary.groupby("metric")["group"].unique()
     found = []
     for name in SHOWN.get(topic, ()):
         for one in (name, INSTEAD.get(name, name)):
             metric, _, group = one.partition(":")
-            groups = sorted(of for at, of in pairs if at == metric and group in ("", of))
-            if groups:
+            groups = sorted(groups_of.get(metric, ()))
+            if group in groups or (groups and not group):
                 takes_all = group or len(groups) == 1 or metric.startswith("encounters.")
                 first = EVERYTHING if EVERYTHING in groups else groups[0]
                 found.append(one if takes_all else f"{one}:{first}")
@@ -227,38 +229,46 @@ def _draw(
     at: Sequence[Line2D],
 ) -> Figure:
     """Panels: a row for each metric, a column for each value of a key. `at` are further entries of the legend."""
-    height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if len(columns) == 1 else 0.3)
-    figure, panels = style.sheet(len(asked) * len(columns), height, len(columns))
+    across = len(columns)
+    height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if across == 1 else 0.3)
+    figure, panels = style.sheet(len(asked) * across, height, across)
     colours = distinct(frame[colour]) if colour else [None]
     labels = {key: label_of(key, frame) for key in (x, colour, column)}
     for row, name in enumerate(asked):
         of_metric = chosen(frame, [name])
-        in_row = panels[row * len(columns) : (row + 1) * len(columns)]
+        in_row = panels[row * across : (row + 1) * across]
         for n, (axes, value) in enumerate(zip(in_row, columns, strict=True)):
             part = of_metric if value is None else of_metric[of_metric[column] == value]
             for i, hue in enumerate(colours):
                 of_hue = part if hue is None else part[part[colour] == hue]
                 _line(axes, of_hue, frame[x], i, len(colours))
-            first = of_metric.iloc[0]
-            unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
-            group = f", {first.group}" if ":" in name and first.group else ""
-            title = f"{labels[column]} = {said(value)}" if value is not None and row == 0 else ""
-            y = f"{first.label}{group}{unit}" if n == 0 else ""
+            title = ""
+            if value is not None and row == 0:
+                title = f"{labels[column]} = {said(value)}"
+            y = _label_of_metric(of_metric, name) if n == 0 else ""
             is_last = row == len(asked) - 1
             letters = max(16, int(15 * (height - 0.65)))
             style.panel(axes, title, labels[x] if is_last else "", style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not are_words(frame[x]))
             _height(axes, of_metric)
-            if first.metric.endswith(".auc"):
+            if name.partition(":")[0].endswith(".auc"):
                 axes.axhline(_CHANCE, color="grey", linewidth=0.6, zorder=0)
-            _ticks(axes, frame[x], 5 if len(columns) < 3 else 3)
+            _ticks(axes, frame[x], 5 if across < 3 else 3)
     entries = []
     for i, hue in enumerate(colours):
         if hue is not None:
             look = style.look(i, are_joined=not are_words(frame[x]))
-            entries.append(Line2D([], [], label=f"{labels[colour]} = {said(hue)}", **look))
+            entries.append(style.entry(f"{labels[colour]} = {said(hue)}", **look))
     style.legend(figure, [*entries, *at])
     return figure
+
+
+def _label_of_metric(rows: pd.DataFrame, name: str) -> str:
+    """What an axis or a title calls a metric: its label, the group where one is named, and the unit."""
+    first = rows.iloc[0]
+    group = f", {first.group}" if ":" in name and first.group else ""
+    unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
+    return f"{first.label}{group}{unit}"
 
 
 def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Sequence[Line2D]) -> Figure:
@@ -281,8 +291,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
             cells = pd.concat([of_bound, cells])
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
-        first = of_metric.iloc[0]
-        is_share = bounds_of(first.metric)[1] == 1
+        is_share = bounds_of(of_metric.metric.iloc[0])[1] == 1
         top = 1.0 if is_share else float(np.nanmax(mean)) or 1.0
         image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)) if has_room else ():
@@ -294,7 +303,6 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         )
         axes.set_yticks(range(len(shown_rows)), [said(v) for v in shown_rows])
         axes.grid(visible=False)
-        group = f", {first.group}" if ":" in name and first.group else ""
         few, many = int(of_metric.n.min()), int(of_metric.n.max())
         n = f"{many} seeds" if few == many else f"{few} to {many} seeds"
         halves = (cells.high - cells.low) / 2
@@ -302,8 +310,7 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
         told = "" if many < 2 else f": mean of {n}"
         told += f", 95 % intervals up to ±{_short(half, top)}" if half == half else ""
         told += "; blank: no value" if np.isnan(mean).any() else ""
-        unit = "" if first.unit in ("", "1") else f" [{first.unit}]"
-        title = style.fitted(f"{first.label}{group}{unit}{told}", 32)
+        title = style.fitted(_label_of_metric(of_metric, name) + told, 32)
         style.panel(axes, title, labels[x], labels[y])
         if not has_room:
             figure.colorbar(image, ax=axes, fraction=0.03, pad=0.02)
@@ -368,7 +375,9 @@ def _height(axes: Axes, of_metric: pd.DataFrame) -> None:
         least = max(float(low.min()), _WIDE * float(mean.min()))
         axes.set_ylim(min(0.0, 1.06 * least), 1.06 * top or 1.0)
     bottom, top = axes.get_ylim()
-    for line in (one for one in axes.containers if isinstance(one, ErrorbarContainer)):
+    for line in axes.containers:
+        if not isinstance(line, ErrorbarContainer):
+            continue
         ends = line.lines[2][0].get_segments()
         look: dict[str, Any] = {"color": line.lines[0].get_color(), "linestyle": "none", "markersize": 4}
         for segment in ends:
@@ -387,7 +396,8 @@ _WIDE = 1.5
 
 def _is_wide(found: Sequence[Any]) -> bool:
     """Whether the values call for a logarithmic axis: they span a factor of ten."""
-    return bool(found[0] > 0 and found[-1] / found[0] >= 10)
+    least, most = found[0], found[-1]
+    return bool(least > 0 and most / least >= 10)
 
 
 def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
@@ -402,7 +412,9 @@ def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     if _is_wide(found):
         axes.set_xscale("log")
         axes.minorticks_off()
-    few = found[(len(found) - 1) % 2 :: 2] if len(found) > most else found
+    few = found
+    if len(found) > most:
+        few = found[(len(found) - 1) % 2 :: 2]  # the last one among them
     axes.set_xticks(few, [said(v) for v in few])
 
 

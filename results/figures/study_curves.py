@@ -136,7 +136,7 @@ def draw(
 
 
 def _entry(i: int, name: str) -> Line2D:
-    return Line2D([], [], label=name, **style.look(i))
+    return style.entry(name, **style.look(i))
 
 
 def _line(axes: Axes, curve: pd.DataFrame, i: int, level: float) -> float:

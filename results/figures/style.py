@@ -35,7 +35,14 @@ ROLE_INKS: Mapping[str, str] = {"honest": INKS[0], "unreliable": INKS[3], "malic
 """One colour per role in every picture; malicious is red."""
 _MORE_ROLES = (INKS[4], INKS[2], INKS[5])
 """Colours of roles of a user's own."""
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (5, 2)),
+    (0, (1, 1.2)),
+    (0, (5, 1.5, 1, 1.5)),
+    (0, (8, 2)),
+    (0, (3, 1, 1, 1, 1, 1)),
+)
 """Line styles, one per run."""
 HATCHES = ("", "///", "...", "xx", "\\\\", "++")
 PALE = "#b4bac4"
@@ -135,14 +142,19 @@ def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[s
     """A horizontal bar of shares that add up to 1, with the larger ones written in."""
     left = 0.0
     for code, share in enumerate(shares):
-        axes.barh(at, share, 0.6, left, color=fills[code], hatch=HATCHES[code], edgecolor="#333333", linewidth=0.6)
+        fill = fills[code]
+        axes.barh(at, share, 0.6, left, color=fill, hatch=HATCHES[code], edgecolor="#333333", linewidth=0.6)
         if share > 0.08:
             axes.text(
-                left + share / 2, at, f"{100 * share:.0f} %", ha="center", va="center",
+                left + share / 2,
+                at,
+                f"{100 * share:.0f} %",
+                ha="center",
+                va="center",
                 fontsize=SMALL,
                 color="white" if code == 0 else "black",
-                bbox={"facecolor": fills[code], "edgecolor": "none", "pad": 1.2},
-            )  # fmt: skip
+                bbox={"facecolor": fill, "edgecolor": "none", "pad": 1.2},
+            )
         left += share
 
 
@@ -175,11 +187,12 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
         return
     tries = [(whole, len(whole))]
     if entries and runs:
-        blank = Line2D([], [], linestyle="", label=" ")
+        blank = entry(" ", linestyle="")
         columns_of_two = list(zip_longest(entries, runs, fillvalue=blank))
         two_rows = list(chain.from_iterable(columns_of_two))  # a legend is filled column by column
         tries.append((two_rows, len(columns_of_two)))
-    tries += [(whole, -(-len(whole) // rows)) for rows in range(2, len(whole) + 1)]
+    for rows in range(2, len(whole) + 1):
+        tries.append((whole, -(-len(whole) // rows)))
     for handles, columns in tries:
         made = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
         if made.get_window_extent().width <= figure.bbox.width or columns == 1:
@@ -211,9 +224,14 @@ _LETTERS_BESIDE = 18
 """Letters in a line of a legend that is as wide as one of two panels."""
 
 
+def entry(label: str, **look: Any) -> Line2D:
+    """Legend entry of a line or a marker that looks like this."""
+    return Line2D([], [], label=label, **look)
+
+
 def held_entry(keys: str) -> Line2D:
     """Legend entry that says at which values keys are held, in lines that the legend takes."""
-    return Line2D([], [], label=fitted(f"at {keys}", 40), linestyle="none")
+    return entry(fitted(f"at {keys}", 40), linestyle="none")
 
 
 def run_entries(runs: Sequence[Run]) -> list[Line2D]:
@@ -225,10 +243,11 @@ def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
     """Legend entries of runs, each of which has a colour and a marker of its own."""
     if len(runs) < 2:
         return []
-    return [
-        Line2D([], [], color=inks(runs)[i], marker=marker(i), linestyle=dash(i) if lines else "", label=name)
-        for i, name in enumerate(names(runs))
-    ]
+    entries = []
+    for i, (name, colour) in enumerate(zip(names(runs), inks(runs), strict=True)):
+        line = dash(i) if lines else ""
+        entries.append(entry(name, color=colour, marker=marker(i), linestyle=line))
+    return entries
 
 
 def names(runs: Sequence[Run]) -> list[str]:
@@ -241,7 +260,10 @@ def names(runs: Sequence[Run]) -> list[str]:
         ((key, values),) = found.items()
         if len(set(map(str, values))) == len(runs):
             return [f"{key} = {_plain(value)}" for value in values]
-    short = [run.name if run.variant == BASE_VARIANT else f"{run.name}, {run.variant}" for run in runs]
+    short = []
+    for run in runs:
+        variant = "" if run.variant == BASE_VARIANT else f", {run.variant}"
+        short.append(run.name + variant)
     paths = [run.path.resolve() for run in runs]
     among = os.path.commonpath(paths)
     return [
@@ -283,14 +305,15 @@ def colour_entries(runs: Sequence[Run]) -> list[Line2D]:
     """Legend entries of runs that have a colour each, needed only where there are several."""
     if len(runs) < 2:
         return []
-    return [Line2D([], [], color=colour, label=name) for colour, name in zip(inks(runs), names(runs), strict=True)]
+    look = zip(names(runs), inks(runs), strict=True)
+    return [entry(name, color=colour) for name, colour in look]
 
 
 def dash_entries(labels: Sequence[str]) -> list[Line2D]:
     """Legend entries of line styles, needed only where there are several."""
     if len(labels) < 2:
         return []
-    return [Line2D([], [], color="black", linestyle=dash(i), label=label) for i, label in enumerate(labels)]
+    return [entry(label, color="black", linestyle=dash(i)) for i, label in enumerate(labels)]
 
 
 def dash(i: int) -> Any:
@@ -324,7 +347,7 @@ def role_look(role: str, roles: Sequence[str]) -> dict[str, Any]:
 
 def role_entries(shown: Iterable[str], roles: Sequence[str]) -> list[Line2D]:
     """Legend entries of the roles shown, in the order of their codes."""
-    return [Line2D([], [], **role_look(role, roles), label=role) for role in roles if role in set(shown)]
+    return [entry(role, **role_look(role, roles)) for role in roles if role in set(shown)]
 
 
 def roles_of(runs: Sequence[Run]) -> list[str]:

@@ -32,26 +32,33 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
                 axes.fill_between(
                     quartiles.time_s, quartiles.q25, quartiles.q75, color=look["color"], alpha=0.18, linewidth=0
                 )
-            axes.plot(
-                quartiles.time_s, quartiles["median"], linestyle=style.dash(i),
-                markevery=(2 * roles.index(str(role)), style.sparse(len(quartiles))), **look,
-            )  # fmt: skip
+            markers = 2 * roles.index(str(role)), style.sparse(len(quartiles))
+            axes.plot(quartiles.time_s, quartiles["median"], linestyle=style.dash(i), markevery=markers, **look)
         _single(axes, run, vehicles, roles)
-    n_medians = len(axes.lines)
-    starts = [run.vehicles.attack_start_step.dropna() for run in runs]
-    begins_s = {float(start.min()) * run.dt_s for run, start in zip(runs, starts, strict=True) if len(start)}
-    for begin_s in begins_s if len(begins_s) == 1 else ():
+    lines = list(axes.lines)
+    begins_s = set()
+    for run in runs:
+        starts = run.vehicles.attack_start_step.dropna()
+        if len(starts):
+            begins_s.add(float(starts.min()) * run.dt_s)
+    if len(begins_s) == 1:
+        (begin_s,) = begins_s
         axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
         axes.annotate(
-            "attacks begin", (begin_s, 1), xycoords=("data", "axes fraction"), xytext=(4, -3), va="top",
-            textcoords="offset points", fontsize=style.SMALL,
-        )  # fmt: skip
+            "attacks begin",
+            (begin_s, 1),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, -3),
+            va="top",
+            textcoords="offset points",
+            fontsize=style.SMALL,
+        )
     what = "median and quartiles" if len(runs) == 1 else "medians"
     places = {"server": "at the server", "vehicles": "at those who receive their messages"}
     kept_at = {trust.kept_at(run) for run in runs}
     where = " or ".join(text for at, text in places.items() if at in kept_at)
     style.panel(axes, f"Trust in vehicles {where}: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
-    top = max((float(np.max(line.get_ydata())) for line in axes.lines[:n_medians]), default=1.0)
+    top = max((float(np.max(line.get_ydata())) for line in lines), default=1.0)
     if len(runs) == 1:
         top = max(top, tops)
     style.share_axis(axes, min(1.0, 1.15 * float(top)))
@@ -70,14 +77,19 @@ def _before(run: Run) -> str:
     found = {}
     for role, one in frame.groupby("role", observed=True):
         of_subject = one.groupby("subject").trust
-        found[str(role)] = intervals.ratio(of_subject.sum().to_numpy(), of_subject.size().to_numpy())
+        sums, n = of_subject.sum(), of_subject.size()
+        found[str(role)] = intervals.ratio(sums.to_numpy(), n.to_numpy())
     known = {role: mean for role, mean in found.items() if mean.low == mean.low}
     if len(known) < 2 or "honest" not in known:
         return ""
-    texts = [f"{role} {mean.value:.2f} [{mean.low:.2f}, {mean.high:.2f}]" for role, mean in known.items()]
-    text = "; ".join(texts)
     honest = known["honest"]
-    apart = [role for role, mean in known.items() if mean.low > honest.high or mean.high < honest.low]
+    texts, apart = [], []
+    for role, mean in known.items():
+        interval = f"[{mean.low:.2f}, {mean.high:.2f}]"
+        texts.append(f"{role} {mean.value:.2f} {interval}")
+        if mean.low > honest.high or mean.high < honest.low:
+            apart.append(role)
+    text = "; ".join(texts)
     reason = (
         f"{' and '.join(apart)} differ from honest: by where they drive, not what they do"
         if apart
@@ -95,7 +107,13 @@ def _single(axes: Axes, run: Run, vehicles: Sequence[int], roles: Sequence[str])
         for _, one in mine.groupby("subject"):  # a line for each of its pseudonyms
             color = style.role_look(str(one.role.iloc[0]), roles)["color"]
             axes.plot(one.time_s, one.trust, color=color, linewidth=0.7)
+            last = one.iloc[-1]
             axes.annotate(
-                str(vehicle), (one.time_s.iloc[-1], one.trust.iloc[-1]), xytext=(3, 0), textcoords="offset points",
-                fontsize=style.SMALLEST, va="center", annotation_clip=False,
-            )  # fmt: skip
+                str(vehicle),
+                (last.time_s, last.trust),
+                xytext=(3, 0),
+                textcoords="offset points",
+                fontsize=style.SMALLEST,
+                va="center",
+                annotation_clip=False,
+            )
