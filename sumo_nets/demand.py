@@ -60,7 +60,11 @@ class Draw:
     def gap_s(self, per_hour: float) -> float:
         return -log(1.0 - self.uniform()) * 3600.0 / per_hour
 
-    def chooser(self, streets: Sequence[Street], weight: Callable[[Street], float]) -> Callable[[], Street]:
+    def chooser(
+        self,
+        streets: Sequence[Street],
+        weight: Callable[[Street], float],
+    ) -> Callable[[], Street]:
         chosen = [street for street in streets if weight(street) > 0.0]
         sums = list(accumulate(weight(street) for street in chosen))
 
@@ -82,17 +86,27 @@ def streets_of(net: Any, gates: frozenset[str], is_one_piece: bool = False) -> l
             continue
         start, end = edge.getFromNode(), edge.getToNode()
         line = edge.getShape()
-        (x0, y0), (x1, y1) = line[0][:2], line[-1][:2]
+        x0, y0 = line[0][:2]
+        x1, y1 = line[-1][:2]
+        length_m = edge.getLength()
+        is_entry = start.getID() in gates and _turns_only(edge.getIncoming(), end) and length_m >= ENTRY_M
+        is_exit = end.getID() in gates and _turns_only(edge.getOutgoing(), start)
         streets.append(
             Street(
-                edge.getID(), start.getID(), end.getID(), edge.getType().removeprefix("highway."),
-                edge.getLength(), ((x0 + x1) / 2, (y0 + y1) / 2),
+                edge.getID(),
+                start.getID(),
+                end.getID(),
+                edge.getType().removeprefix("highway."),
+                length_m,
+                ((x0 + x1) / 2, (y0 + y1) / 2),
                 sum(lane.allows("passenger") for lane in edge.getLanes()),
-                start.getID() in gates and _turns_only(edge.getIncoming(), end) and edge.getLength() >= ENTRY_M,
-                end.getID() in gates and _turns_only(edge.getOutgoing(), start),
-                edge.allows("pedestrian"), edge.allows("bicycle"), piece.get(edge.getID(), 0),
+                is_entry,
+                is_exit,
+                edge.allows("pedestrian"),
+                edge.allows("bicycle"),
+                piece.get(edge.getID(), 0),
             )
-        )  # fmt: skip
+        )
     return streets
 
 
@@ -119,7 +133,20 @@ def gate_weight_of(street: Street, weights: dict[str, float]) -> float:
     return weights.get(street.id, weights.get(street.kind, 1.0) * street.lanes)
 
 
-def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+def _is_a_trip(origin: Street, target: Street, recipe: dict[str, Any]) -> bool:
+    """Whether a way leads from one street to another, and they are as far apart as a recipe asks for."""
+    away_m = dist(origin.middle_m, target.middle_m)
+    is_far = recipe["at_least_m"] <= away_m <= recipe.get("at_most_m", inf)
+    return is_far and origin.piece == target.piece
+
+
+def vehicle_trips(
+    streets: list[Street],
+    kind: str,
+    recipe: dict[str, Any],
+    seed: int,
+    end_s: float,
+) -> list[str]:
     """Trips of one vehicle class, sorted by departure."""
     draw = Draw(seed, kind)
     through = [street for street in streets if kind != "bicycle" or street.cyclable]
@@ -141,21 +168,25 @@ def vehicle_trips(streets: list[Street], kind: str, recipe: dict[str, Any], seed
             starts_inside, ends_inside = draw.uniform() < from_inside, draw.uniform() < to_inside
             origin = kerb() if starts_inside else enter()
             target = kerb() if ends_inside else leave()
-            away_m = dist(origin.middle_m, target.middle_m)
-            if origin.piece == target.piece and recipe["at_least_m"] <= away_m <= recipe.get("at_most_m", inf):
+            if _is_a_trip(origin, target, recipe):
                 break
         else:
             raise NoTraffic(f"no two streets are {recipe['at_least_m']:g} m apart, the least for a trip ({kind})")
         place = 'departPos="random_free" departSpeed="0"' if starts_inside else 'departPos="base" departSpeed="max"'
         goal = ' arrivalPos="random"' if ends_inside else ""
         trips.append(
-            f'<trip id="{kind}{len(trips)}" type="{kind}" depart="{now:.1f}" departLane="best" {place}{goal}'
-            f' from="{origin.id}" to="{target.id}"/>'
+            f'<trip id="{kind}{len(trips)}" type="{kind}" depart="{now:.1f}"'
+            f' departLane="best" {place}{goal} from="{origin.id}" to="{target.id}"/>'
         )
     return trips
 
 
-def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+def walks(
+    streets: list[Street],
+    recipe: dict[str, Any],
+    seed: int,
+    end_s: float,
+) -> list[str]:
     """Walks of pedestrians along pavements, sorted by departure."""
     draw = Draw(seed, "pedestrian")
     pavements = [street for street in streets if street.walkable and street.length_m > 15.0]
@@ -165,8 +196,7 @@ def walks(streets: list[Street], recipe: dict[str, Any], seed: int, end_s: float
     while (now := now + draw.gap_s(recipe["per_hour"])) < end_s:
         for _ in range(MOST_TRIES):
             origin, target = door(), door()
-            away_m = dist(origin.middle_m, target.middle_m)
-            if origin.piece == target.piece and recipe["at_least_m"] <= away_m <= recipe["at_most_m"]:
+            if _is_a_trip(origin, target, recipe):
                 break
         else:
             least, most = recipe["at_least_m"], recipe["at_most_m"]

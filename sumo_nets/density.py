@@ -51,17 +51,22 @@ def trips_per_hour(streets: list[Street], density: Density, trip_s: float | None
     if trip_s is None:
         trip_s = _guessed_trip_s(streets, at_least_m, density.seed)
     per_hour = BY_HOUR[density.hour] * density.per_km * km * 3600.0 / trip_s
-    trips = {kind: float(max(1, round(per_hour * share))) for kind, share in SHARES.items()}
-    return {"at_least": at_least_m, **trips, "pedestrian": float(max(1, round(WALKS * per_hour)))}
+    trips = {"at_least": at_least_m}
+    for kind, share in (SHARES | {"pedestrian": WALKS}).items():
+        trips[kind] = float(max(1, round(per_hour * share)))
+    return trips
 
 
 def _guessed_trip_s(streets: list[Street], at_least_m: float, seed: int) -> float:
     """Mean duration of trips between streets drawn by their length."""
     draw = Draw(seed, "lengths")
     where = draw.chooser(streets, lambda street: street.length_m)
-    drawn = [(where(), where()) for _ in range(2000)]
-    away_m = [dist(origin.middle_m, target.middle_m) for origin, target in drawn if origin.piece == target.piece]
-    far_m = [metres for metres in away_m if metres >= at_least_m]
+    far_m = []
+    for _ in range(2000):
+        origin, target = where(), where()
+        away_m = dist(origin.middle_m, target.middle_m)
+        if origin.piece == target.piece and away_m >= at_least_m:
+            far_m.append(away_m)
     if not sum(far_m):
         raise NoTraffic(f"no two streets are {at_least_m:g} m apart, the least for a trip")
     return DETOUR * sum(far_m) / len(far_m) / DRIVE_MPS

@@ -62,8 +62,9 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
 
 
 def read_polygons(
-    path: Path | str, net_path: Path | None = None
-) -> tuple[list[Footprint], dict[str, OtherPolygons]]:  # fmt: skip
+    path: Path | str,
+    net_path: Path | None = None,
+) -> tuple[list[Footprint], dict[str, OtherPolygons]]:
     """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order, and the others by type.
 
     Polygons count as buildings if their type starts with "building" or they carry a `building` or
@@ -102,9 +103,12 @@ def read_polygons(
             poly = None
 
     stream(path, start, end)
-    where = [f"{path}: polygon {poly.get('id', '?')!r}" for poly, _ in found]
-    outer = [_ring(poly.get("shape", ""), here) for (poly, _), here in zip(found, where, strict=True)]
-    geo = [k for k, (poly, _) in enumerate(found) if poly.get("geo") in ("true", "1", "yes", "on", "True")]
+    buildings = [building for building, _ in found]
+    where = [f"{path}: polygon {building.get('id', '?')!r}" for building in buildings]
+    shapes = [building.get("shape", "") for building in buildings]
+    outer = list(map(_ring, shapes, where))
+    yes = ("true", "1", "yes", "on", "True")
+    geo = [k for k, building in enumerate(buildings) if building.get("geo") in yes]
     if geo:
         projected = _projected([outer[k] for k in geo], net_path, where[geo[0]])
         for k, ring in zip(geo, projected, strict=True):
@@ -178,13 +182,19 @@ def _projected(rings: list[Ring], net_path: Path | None, where: str) -> list[Rin
         raise ValueError(f'{where}: geo="true", but {error}') from None
 
 
-def _footprints(outer: list[Ring], found: list[tuple[Attributes, Attributes]], where: list[str]) -> list[Footprint]:
+def _footprints(
+    outer: list[Ring],
+    found: list[tuple[Attributes, Attributes]],
+    where: list[str],
+) -> list[Footprint]:
     """Those of all polygons of a file."""
     rings: list[Ring] = []
     of_polygon: list[int] = []
     kept: list[int] = []
-    for k, (ring, (_, params), here) in enumerate(zip(outer, found, where, strict=True)):
-        holes = [_ring(value, here) for key, value in params.items() if key.startswith("hole.")]
+    for k, ring in enumerate(outer):
+        _, params = found[k]
+        inner = [value for key, value in params.items() if key.startswith("hole.")]
+        holes = [_ring(shape, where[k]) for shape in inner]
         if len(ring) > 3:
             own = [ring, *(hole for hole in holes if len(hole) > 3)]
             rings += own
@@ -195,8 +205,9 @@ def _footprints(outer: list[Ring], found: list[tuple[Attributes, Attributes]], w
     of_ring = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
     lines = shapely.linearrings(np.concatenate(rings), indices=of_ring)
     polygons = shapely.polygons(lines, indices=of_polygon)
-    areas_m2 = shapely.area(polygons).tolist()
-    heights = [_extent(*found[k], area, where[k]) for k, area in zip(kept, areas_m2, strict=True)]
+    heights = []
+    for k, area_m2 in zip(kept, shapely.area(polygons).tolist(), strict=True):
+        heights.append(_extent(*found[k], area_m2, where[k]))
     pieces, of_piece = _pieces(polygons)
     rings_of = _rings_of(pieces)
     made = []
@@ -223,7 +234,7 @@ def _ring(text: str, where: str) -> Ring:
         points = np.array([list(map(float, pair)) for pair in pairs])
     except ValueError:
         raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of x,y pairs") from None
-    if points.ndim != 2 or points.shape[1:] != (2,) or not np.isfinite(points).all():
+    if points.shape[1:] != (2,) or not np.isfinite(points).all():
         raise ValueError(f"{where}: shape {text[:40]!r}... is not a list of finite x,y pairs")
     if not (points[0] == points[-1]).all():
         points = np.vstack([points, points[:1]])

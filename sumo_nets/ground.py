@@ -61,10 +61,13 @@ def ground_of(net_path: Path) -> Ground:
     return Ground(shapely.union_all(carriageway), shapely.union_all(pavement))
 
 
-def segments(found: Sequence[Lane]) -> tuple[Float[ndarray, "s 3"], Float[ndarray, "s 3"]]:
+def segments(
+    found: Sequence[Lane],
+) -> tuple[Float[ndarray, "s 3"], Float[ndarray, "s 3"]]:
     """Begin and end of every segment of every lane, in this order."""
-    count = [len(lane.line_m) for lane in found]
-    points = np.concatenate([np.zeros((0, 3)), *(lane.line_m for lane in found)])
+    lines = [lane.line_m for lane in found]
+    count = [len(line) for line in lines]
+    points = np.concatenate([np.zeros((0, 3)), *lines])
     ends = np.cumsum(count, dtype=int)
     is_first, is_last = np.zeros((2, len(points)), bool)
     is_first[ends - count] = True
@@ -108,14 +111,15 @@ class StreetHeights:
 
     def __init__(self, found: Sequence[Lane]) -> None:
         begin, end = segments(found)
-        self.is_flat = not (begin[:, 2].any() or end[:, 2].any())
-        """Whether the network has no heights."""
         self._begin, self._end = begin, end
+        self._ends = np.concatenate([begin, end])
+        self.is_flat = not self._ends[:, 2].any()
+        """Whether the network has no heights."""
         if self.is_flat:
             return
         self._segments = shapely.linestrings(np.stack([begin, end], axis=1)[..., :2])
         bridge = np.concatenate(is_bridge(found, crossings(found)))
-        self._grounded = np.flatnonzero(~bridge) if not bridge.all() else np.arange(len(bridge))
+        self._grounded = np.flatnonzero(~bridge | bridge.all())  # without any other street, bridges count
 
     def ground_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the ground at each place (Shapely geometries): that of the lowest street beside it.
@@ -138,8 +142,7 @@ class StreetHeights:
 
     def lowest_m(self, places: ndarray) -> Float[ndarray, "n"]:
         """Height of the lowest street within about `AROUND_M` of each place."""
-        ends_m = np.concatenate([self._begin, self._end])[:, :2]
-        extent_m = float(np.ptp(ends_m, axis=0).max())
+        extent_m = float(np.ptp(self._ends[:, :2], axis=0).max())
         cell_m = max(_CELL_M, extent_m / _MOST_CELLS)
         points, _ = sampled(self._begin, self._end, cell_m / 2)
         low = points[:, :2].min(axis=0) - 2 * AROUND_M

@@ -52,9 +52,11 @@ def height_of(tags: Mapping[str, str], area_m2: float) -> Height:
     if kind == "yes":
         kind = tags.get("building:part", "yes")
     source: Literal["measured", "storeys", "default"]
-    if (metres := number(tags.get("height") or tags.get("building:height"))) is not None and 0.0 < metres <= TALLEST_M:
+    metres = number(tags.get("height") or tags.get("building:height"))
+    storeys = _storeys(tags)
+    if metres is not None and 0.0 < metres <= TALLEST_M:
         top, source = metres, "measured"
-    elif 0.0 < (storeys := _storeys(tags)) <= TALLEST_M / STOREY_M:
+    elif 0.0 < storeys <= TALLEST_M / STOREY_M:
         top, source = STOREY_M * storeys, "storeys"
     else:
         by_area = 3.0 if area_m2 < 40.0 else 7.0 if area_m2 < 150.0 else 5 * STOREY_M

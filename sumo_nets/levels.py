@@ -45,7 +45,8 @@ def crossings(lanes: Sequence[Lane]) -> Crossings:
     of_motors = [k for k, lane in enumerate(lanes) if lane.for_cars and not lane.across]
     row = np.array(of_motors, int)
     if not len(row):
-        return Crossings(np.zeros((0, 2), int), np.zeros((0, 2)), np.zeros((0, 2)))
+        nothing = np.zeros((0, 2))
+        return Crossings(nothing.astype(int), nothing, nothing)
     points = [lanes[k].line_m for k in row]
     flat = np.concatenate(points)[:, :2]
     of_point = np.repeat(np.arange(len(row)), [len(line_m) for line_m in points])
@@ -60,11 +61,13 @@ def crossings(lanes: Sequence[Lane]) -> Crossings:
     to_end_m = np.full(len(place), np.inf)
     for column, rows in enumerate((one, other)):
         at_m = shapely.line_locate_point(lines[rows], place)
-        z_m[:, column] = [_height_m(points[k], at) for k, at in zip(rows, at_m, strict=True)]
+        of_pair = [points[k] for k in rows]
+        z_m[:, column] = list(map(_height_m, of_pair, at_m))
         left_m = shapely.length(lines[rows]) - at_m
         to_end_m = np.minimum.reduce([to_end_m, at_m, left_m])
     ends = [set(lanes[k].ends) for k in row]
-    shared = [not ends[a].isdisjoint(ends[b]) for a, b in zip(one, other, strict=True)]
+    pairs = zip(one, other, strict=True)
+    shared = [not ends[a].isdisjoint(ends[b]) for a, b in pairs]
     real = ~(np.array(shared, bool) & (to_end_m < _SHARED_M))
     lane = np.column_stack([row[one], row[other]])
     return Crossings(lane[real], shapely.get_coordinates(place)[real], z_m[real])

@@ -9,6 +9,8 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 Tags = dict[str, str]
+Places = Mapping[int, tuple[float, float]]
+"""(longitude, latitude) of nodes by id [degrees]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,7 @@ def is_within(lon: float, lat: float, box: tuple[float, float, float, float]) ->
     return west <= lon <= east and south <= lat <= north
 
 
-def pieces(way: Way, place: Mapping[int, tuple[float, float]]) -> list[tuple[int, ...]]:
+def pieces(way: Way, place: Places) -> list[tuple[int, ...]]:
     """The runs of a way's nodes that lie inside the extract, at least two nodes each."""
     runs = [tuple(run) for is_inside, run in groupby(way.nodes, place.__contains__) if is_inside]
     return [run for run in runs if len(run) > 1]
@@ -57,7 +59,7 @@ def pieces(way: Way, place: Mapping[int, tuple[float, float]]) -> list[tuple[int
 
 def write(
     path: Path,
-    place: Mapping[int, tuple[float, float]],
+    place: Places,
     node_tags: Mapping[int, Tags],
     ways: Iterable[Way],
     relations: Iterable[Relation] = (),
@@ -85,8 +87,10 @@ def write(
 
 
 def _element(out, head: str, name: str, tags: Tags, children: list[str]) -> None:
-    lines = children + [f"<tag k={quoteattr(k)} v={quoteattr(v)}/>" for k, v in sorted(tags.items())]
+    for key, value in sorted(tags.items()):
+        children.append(f"<tag k={quoteattr(key)} v={quoteattr(value)}/>")
+    lines = "".join(f"    {line}\n" for line in children)
     if not lines:
         out.write(f"  {head}/>\n")
         return
-    out.write(f"  {head}>\n" + "".join(f"    {line}\n" for line in lines) + f"  </{name}>\n")
+    out.write(f"  {head}>\n{lines}  </{name}>\n")

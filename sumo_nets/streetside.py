@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import shapely
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors, is_left_hand
+from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors, is_left_hand, points_of
 from sumo_nets.xml import Attributes, stream
 
 _PARKING = ("parking:lane:{}", "parking:lane:both", "parking:{}", "parking:both")
@@ -63,8 +62,10 @@ def street_space(net_path: Path | str) -> tuple[list[Kerb], ndarray]:
             lanes.append((attributes, _line(attributes), min(width_m, LARGEST_WIDTH_M)))
         elif name == "param" and edge:
             tags[attributes.get("key", "")] = attributes.get("value", "")
-        elif name == "junction" and len(ring := _points(attributes.get("shape", ""))) > 2:
-            areas.append(shapely.make_valid(shapely.Polygon(ring[:, :2])))
+        elif name == "junction":
+            ring = points_of(attributes.get("shape", ""))
+            if len(ring) > 2:
+                areas.append(shapely.make_valid(shapely.Polygon(ring[:, :2])))
 
     def end(name: str) -> None:
         nonlocal edge
@@ -116,9 +117,10 @@ def read_trees(path: Path | str) -> Float[ndarray, "n 2"]:
 
     def end(name: str) -> None:
         if name == "poi" and kind.endswith("tree"):
-            found.append(_points(f"{here.get('x', '')},{here.get('y', '')}")[:, :2])
+            x, y = here.get("x", ""), here.get("y", "")
+            found.append(points_of(f"{x},{y}")[:, :2])
         elif name == "poly" and kind.endswith("tree_row") and here.get("geo", "false") not in ("true", "1"):
-            row = _points(here.get("shape", ""))[:, :2]
+            row = points_of(here.get("shape", ""))[:, :2]
             if len(row) > 1:
                 line = shapely.LineString(row)
                 at = np.arange(0.0, line.length, _ROW_M)
@@ -129,18 +131,7 @@ def read_trees(path: Path | str) -> Float[ndarray, "n 2"]:
 
 
 def _line(lane: Attributes) -> Float[ndarray, "k 3"]:
-    points = _points(lane.get("shape", ""))
+    points = points_of(lane.get("shape", ""))
     if len(points) < 2:
         raise ValueError(f"lane {lane.get('id', '?')!r} has no line of finite points")
     return points
-
-
-def _points(shape: str) -> Float[ndarray, "k 3"]:
-    """Points of a SUMO shape, with z = 0 where it has none; empty if one is not finite."""
-    triples = [(*point.split(","), "0")[:3] for point in shape.split()]
-    try:
-        rows = [list(map(float, triple)) for triple in triples]
-    except ValueError:
-        return np.zeros((0, 3))
-    good = all(len(row) == 3 and all(map(isfinite, row)) for row in rows)
-    return np.array(rows).reshape(-1, 3) if good else np.zeros((0, 3))

@@ -71,17 +71,20 @@ def _is_suspicious(path: Path) -> bool:
             end = text.find(b"<", match.end())
             end = len(text) if end < 0 else end
             tag = text[begin:end]
+            names = _FILE.findall(tag)
             is_read = len(tag) > _LONGEST_TAG or bool(_READING.match(tag))
-            if is_read or b":" in tag or any(_is_special(path, name) for name in _FILE.findall(tag)):
+            if is_read or b":" in tag or any(_is_special(path, name) for name in names):
                 return True
         for tag in _TYPE.findall(text):
-            if len(tag) > _LONGEST_TAG or any(_is_odd(value) for _, value in _NUMBER.findall(tag)):
+            numbers = _NUMBER.findall(tag)
+            if len(tag) > _LONGEST_TAG or any(_is_odd(value) for _, value in numbers):
                 return True
         left = text[max(text.rfind(b"<"), len(text) - 2 * _LONGEST_TAG) :]
     return False
 
 
-def _is_special(path: Path, name: bytes) -> bool:
+def _is_special(path: Path, name: bytes | str) -> bool:
+    """Whether a name in a file is that of a device, a pipe or a folder."""
     target = path.parent / os.fsdecode(name)
     return exists(target) and not target.is_file()
 
@@ -104,8 +107,10 @@ def _checked(path: Path) -> list[Path]:
                 cure = spelling(target) or " Correct the path."
                 raise ValueError(f"{path}: includes {target}, which is no file.{cure}")
             found.append(target)
-        if name in _READERS and exists(target := path.parent / attributes.get("file", "")) and target.is_file():
-            found.append(target)
+        if name in _READERS:
+            target = path.parent / attributes.get("file", "")
+            if exists(target) and target.is_file():
+                found.append(target)
         if name == "vType":
             check_type(path, attributes)
         for key, value in attributes.items():
@@ -139,5 +144,5 @@ def _check_name(path: Path, element: str, key: str, value: str) -> None:
             f"{path}: <{element}> has {key} = {value!r}, which SUMO takes for an address to connect to. "
             "Remove it, or give a file name without a colon."
         )
-    if value not in ("", "NUL", "/dev/null") and exists(target := path.parent / value) and not target.is_file():
+    if value not in ("", "NUL", "/dev/null") and _is_special(path, value):
         raise ValueError(f"{path}: <{element}> has {key} = {value!r}, which is a device, pipe or folder. Remove it.")

@@ -85,8 +85,10 @@ def cached_folder(net: PackageNet, source: Path) -> Path:
     """Where it is kept; the name contains a hash of the files on which its content depends."""
     here = Path(__file__).parent
     sources = (Path(__file__), *(here / name for name in _SOURCES))
-    about = net.name + "".join(_checksum(path) for path in (source, *sources) if path.is_file())
-    return cache() / "nets" / f"{net.name}-{hashlib.sha256(about.encode()).hexdigest()[:12]}"
+    files = [path for path in (source, *sources) if path.is_file()]
+    about = net.name + "".join(map(_checksum, files))
+    digest = hashlib.sha256(about.encode()).hexdigest()
+    return cache() / "nets" / f"{net.name}-{digest[:12]}"
 
 
 def _checksum(path: Path) -> str:

@@ -165,7 +165,8 @@ def without_commas(config: Sumocfg, folder: Path) -> Sumocfg:
             links[own].symlink_to(own, target_is_directory=True)
         return links[own] / path.name
 
-    return replace(config, files={option: tuple(map(linked, paths)) for option, paths in config.files.items()})
+    files = {option: tuple(map(linked, paths)) for option, paths in config.files.items()}
+    return replace(config, files=files)
 
 
 def in_folder(folder: Path) -> list[Path]:
@@ -232,5 +233,6 @@ def _values(path: Path) -> dict[str, str]:
 
 
 def _files(folder: Path, value: str) -> tuple[Path, ...]:
-    parts = (unquote(os.path.expandvars(part.strip())) for part in value.replace(";", ",").split(","))
+    written = map(str.strip, value.replace(";", ",").split(","))
+    parts = [unquote(os.path.expandvars(part)) for part in written]
     return tuple(meant(folder, part) for part in parts if part)

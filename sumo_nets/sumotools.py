@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.osm import Extract, Way, write
+from sumo_nets.osm import Extract, Places, Way, write
 from sumo_nets.xml import Attributes, Enough, stream
 
 Ring = Float[ndarray, "k 2"]
@@ -54,7 +54,8 @@ def run(tool: str, options: dict[str, Any], folder: Path) -> str:
     done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error: ")]
-        raise ValueError(f"{tool} failed: {' '.join(errors) or ' '.join(done.stderr.split())[-2000:]}")
+        reason = " ".join(errors) or " ".join(done.stderr.split())[-2000:]
+        raise ValueError(f"{tool} failed: {reason}")
     return done.stderr
 
 
@@ -71,10 +72,10 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
     ValueError
         If the network has no projection.
     """
-    shapes = "".join(
-        f'<poly id="{k}" type="building" geo="true" shape="{" ".join(f"{x!r},{y!r}" for x, y in ring.tolist())}"/>'
-        for k, ring in enumerate(rings)
-    )
+    polygons = ""
+    for k, ring in enumerate(rings):
+        shape = " ".join(f"{x!r},{y!r}" for x, y in ring.tolist())
+        polygons += f'<poly id="{k}" type="building" geo="true" shape="{shape}"/>'
     found: dict[int, Ring] = {}
 
     def start(name: str, attributes: Attributes) -> None:
@@ -90,7 +91,7 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
     stream(net_path, location)
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
         given, flat = Path(folder) / "geo.xml", Path(folder) / "flat.xml"
-        given.write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
+        given.write_text(f"<additional>{polygons}</additional>", encoding="utf-8")
         options = {"net-file": net_path.name, "xml-files": given, "output-file": flat, "precision": 4}
         run("polyconvert", options, net_path.parent)
         stream(flat, start)
@@ -98,7 +99,7 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
 
 
 def _points(shape: str) -> Ring:
-    return np.array([[float(value) for value in point.split(",")] for point in shape.split()])
+    return np.array([point.split(",") for point in shape.split()], float)
 
 
 class Projector:
@@ -108,8 +109,8 @@ class Projector:
         self._extract = extract
         self._net_path = net_path
 
-    def ways(self, ways: list[Way], more: dict[int, tuple[float, float]] | None = None) -> dict[int, Ring]:
-        """Closed ways as rings, by id; polyconvert leaves out what has no area."""
+    def ways(self, ways: list[Way], more: Places | None = None) -> dict[int, Ring]:
+        """Closed ways as rings, by id, with `more` nodes; polyconvert leaves out what has no area."""
         folder = self._net_path.parent
         source, target = folder / "project.osm.xml", folder / "project.poly.xml"
         write(source, {**self._extract.place, **(more or {})}, {}, ways)

@@ -54,7 +54,8 @@ _WORDS = {
     "person": "pedestrian", "walk": "pedestrian", "walker": "pedestrian",
 }  # fmt: skip
 """Word of a type's name, and the class that it suggests; the first match is used."""
-_PLAIN = frozenset(name.lower() for name in (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car"))
+_NAMES = (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car")
+_PLAIN = frozenset(map(str.lower, _NAMES))
 
 
 def is_plain(name: str) -> bool:
@@ -74,8 +75,9 @@ def check_size(where: str, what: str, value: str | float) -> float:
         size_m = float(value)
     except ValueError:
         size_m = nan
-    if not SMALLEST_M <= size_m <= LARGEST_M[what]:
-        raise ValueError(f"{where}: {what} = {value} m should be {SMALLEST_M:g} to {LARGEST_M[what]:g} m.")
+    largest_m = LARGEST_M[what]
+    if not SMALLEST_M <= size_m <= largest_m:
+        raise ValueError(f"{where}: {what} = {value} m should be {SMALLEST_M:g} to {largest_m:g} m.")
     return size_m
 
 
@@ -87,10 +89,12 @@ def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
         def start(name: str, attributes: Attributes, path: Path = path) -> None:
             if name == "vType":
                 vclass = attributes.get("vClass", "passenger")
-                sizes = SIZES_M.get(vclass, _CAR)
-                named = zip(("length", "width", "height"), sizes, strict=True)
+                usual = zip(("length", "width", "height"), SIZES_M.get(vclass, _CAR), strict=True)
                 where = f"{path}: vType {attributes.get('id', '?')!r}"
-                length, width, height = (check_size(where, what, attributes.get(what, size)) for what, size in named)
+                sizes = []
+                for what, size in usual:
+                    sizes.append(check_size(where, what, attributes.get(what, size)))
+                length, width, height = sizes
                 found[attributes.get("id", "")] = VehicleType(vclass, (length, width, height))
 
         stream(path, start)

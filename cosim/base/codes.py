@@ -132,7 +132,8 @@ class LosBlockers(IntEnum):
 
 def labels(codes: type[IntEnum]) -> tuple[str, ...]:
     """Labels of a code, in the order of its numbers: the names of its members in lower case."""
-    assert [int(member) for member in codes] == list(range(len(codes))), f"{codes.__name__} has gaps"
+    numbers = [int(member) for member in codes]
+    assert numbers == list(range(len(codes))), f"{codes.__name__} has gaps"
     return tuple(member.name.lower() for member in codes)
 
 

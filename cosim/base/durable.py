@@ -29,7 +29,8 @@ def new_file(path: Path) -> int:
     a reader.
     """
     path.unlink(missing_ok=True)
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+    return os.open(path, flags, 0o666)
 
 
 class Growing(io.RawIOBase):
@@ -115,7 +116,8 @@ def write_output(path: Path, content: bytes) -> None:
 
 def append_line(path: Path, line: bytes) -> None:
     """Append a line to a file. It is on disk when the function returns."""
-    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
+    handle = os.open(path, flags, 0o666)
     with open(handle, "ab") as file:
         file.write(line + b"\n")
         file.flush()
@@ -139,7 +141,8 @@ def open_lock(path: Path) -> int:
     OSError
         If it is a link or no regular file, or cannot be made.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    handle = os.open(path, flags, 0o666)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
         raise OSError(errno.EINVAL, "no regular file", str(path))
@@ -233,7 +236,7 @@ def _is_named(handle: int, path: Path) -> bool:
 def is_locked(folder: Path) -> bool:
     """Whether a process writes into a folder now."""
     try:
-        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_NOFOLLOW)
     except OSError:
         return False
     try:

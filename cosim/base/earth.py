@@ -16,28 +16,29 @@ from numpy import ndarray
 FLATTENING = 1 / 298.257223563
 N = FLATTENING / (2 - FLATTENING)
 """Third flattening."""
-RADIUS_M = 6_378_137 / (1 + N) * (1 + N**2 / 4 + N**4 / 64)
+N2, N3, N4 = N**2, N**3, N**4
+RADIUS_M = 6_378_137 / (1 + N) * (1 + N2 / 4 + N4 / 64)
 """A quarter of the meridian, divided by a right angle."""
 E = math.sqrt(FLATTENING * (2 - FLATTENING))
 """Eccentricity."""
 
 ALPHA = (
-    N / 2 - 2 * N**2 / 3 + 5 * N**3 / 16 + 41 * N**4 / 180,
-    13 * N**2 / 48 - 3 * N**3 / 5 + 557 * N**4 / 1440,
-    61 * N**3 / 240 - 103 * N**4 / 140,
-    49561 * N**4 / 161280,
+    N / 2 - 2 * N2 / 3 + 5 * N3 / 16 + 41 * N4 / 180,
+    13 * N2 / 48 - 3 * N3 / 5 + 557 * N4 / 1440,
+    61 * N3 / 240 - 103 * N4 / 140,
+    49561 * N4 / 161280,
 )
 BETA = (
-    N / 2 - 2 * N**2 / 3 + 37 * N**3 / 96 - N**4 / 360,
-    N**2 / 48 + N**3 / 15 - 437 * N**4 / 1440,
-    17 * N**3 / 480 - 37 * N**4 / 840,
-    4397 * N**4 / 161280,
+    N / 2 - 2 * N2 / 3 + 37 * N3 / 96 - N4 / 360,
+    N2 / 48 + N3 / 15 - 437 * N4 / 1440,
+    17 * N3 / 480 - 37 * N4 / 840,
+    4397 * N4 / 161280,
 )
 DELTA = (
-    2 * N - 2 * N**2 / 3 - 2 * N**3 + 116 * N**4 / 45,
-    7 * N**2 / 3 - 8 * N**3 / 5 - 227 * N**4 / 45,
-    56 * N**3 / 15 - 136 * N**4 / 35,
-    4279 * N**4 / 630,
+    2 * N - 2 * N2 / 3 - 2 * N3 + 116 * N4 / 45,
+    7 * N2 / 3 - 8 * N3 / 5 - 227 * N4 / 45,
+    56 * N3 / 15 - 136 * N4 / 35,
+    4279 * N4 / 630,
 )
 
 
@@ -93,7 +94,8 @@ class Projection:
                 return Projection(0.0, 6.0 * zone - 183, 0.9996, east_m - 5e5, north_m - south_m)
             if given["proj"] != "tmerc":
                 raise KeyError
-            lat, lon, x, y = (float(given.get(name, 0)) for name in ("lat_0", "lon_0", "x_0", "y_0"))
+            names = ("lat_0", "lon_0", "x_0", "y_0")
+            lat, lon, x, y = (float(given.get(name, 0)) for name in names)
             scale = float(given.get("k", given.get("k_0", 1)))
             return Projection(lat, lon, scale, east_m - x, north_m - y)
         except (KeyError, ValueError):
@@ -126,7 +128,11 @@ class Projection:
             scale=self.scale * np.cosh(east),
         )
 
-    def to_world(self, latitude_deg: Float[ndarray, "n"], longitude_deg: Float[ndarray, "n"]) -> Float[ndarray, "n 2"]:
+    def to_world(
+        self,
+        latitude_deg: Float[ndarray, "n"],
+        longitude_deg: Float[ndarray, "n"],
+    ) -> Float[ndarray, "n 2"]:
         """World coordinates, east and north [m], of places on Earth: the inverse of `of_world`.
 
         Parameters
@@ -156,8 +162,9 @@ def _series(
     """Sums over k of c_k sin(2k xi) cosh(2k eta), and of c_k cos(2k xi) sinh(2k eta)."""
     j = 2 * np.arange(1, 5)[:, None]
     c = np.array(coefficients)[:, None]
-    of_xi = c * np.sin(j * xi) * np.cosh(j * eta)
-    of_eta = c * np.cos(j * xi) * np.sinh(j * eta)
+    j_xi, j_eta = j * xi, j * eta
+    of_xi = c * np.sin(j_xi) * np.cosh(j_eta)
+    of_eta = c * np.cos(j_xi) * np.sinh(j_eta)
     return of_xi.sum(axis=0), of_eta.sum(axis=0)
 
 
@@ -166,4 +173,7 @@ def _rectified(lat_rad: float) -> float:
     sin = math.sin(lat_rad)
     isometric = math.atanh(sin) - E * math.atanh(E * sin)
     xi = math.atan(math.sinh(isometric))
-    return xi + sum(a * math.sin(2 * k * xi) for k, a in enumerate(ALPHA, 1))
+    terms = []
+    for k, alpha in enumerate(ALPHA, 1):
+        terms.append(alpha * math.sin(2 * k * xi))
+    return xi + sum(terms)

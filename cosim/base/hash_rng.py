@@ -43,7 +43,10 @@ def unit(h):
     return (h >> _S11) * _TO_UNIT
 
 
-def mix_rows(keys: UInt64[ndarray, "k"], ids: UInt64[ndarray, "k"]) -> UInt64[ndarray, "k"]:
+def mix_rows(
+    keys: UInt64[ndarray, "k"],
+    ids: UInt64[ndarray, "k"],
+) -> UInt64[ndarray, "k"]:
     """New keys: each key extended by the identifier in the same row, as `mix` does for one."""
     return splitmix64.py_func(keys + (ids + _ONE) * GOLDEN)
 
@@ -94,7 +97,8 @@ def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory
     """
     phase = uniforms(keys, 1)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
-    before, after = (normals(mix_rows(keys, (cell + step).astype(np.uint64)), n) for step in (1.0, 2.0))
+    before = normals(mix_rows(keys, (cell + 1.0).astype(np.uint64)), n)
+    after = normals(mix_rows(keys, (cell + 2.0).astype(np.uint64)), n)
     return between(before, after, w[:, None])
 
 
@@ -102,4 +106,5 @@ def between(
     before: Float[ndarray, "k n"], after: Float[ndarray, "k n"], w: Float[ndarray, "k 1"]
 ) -> Float[ndarray, "k n"]:
     """Standard normals that turn from some into others as the weight of the others grows from 0 to 1."""
-    return ((1.0 - w) * before + w * after) / np.sqrt((1.0 - w) ** 2 + w**2)
+    mean = (1.0 - w) * before + w * after
+    return mean / np.sqrt((1.0 - w) ** 2 + w**2)

@@ -10,7 +10,19 @@ def wrapped(angle_rad: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
     return np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
 
 
-def turned_by(angle_rad: Float[ndarray, "..."] | float, xy: Float[ndarray, "... 2"]) -> Float[ndarray, "... 2"]:
+def crossed(
+    a: Float[ndarray, "... 2"],
+    b: Float[ndarray, "... 2"],
+) -> Float[ndarray, "..."]:
+    """Areas that pairs of vectors span, positive where b is to the left of a."""
+    towards_left = a[..., 0] * b[..., 1]
+    return towards_left - a[..., 1] * b[..., 0]
+
+
+def turned_by(
+    angle_rad: Float[ndarray, "..."] | float,
+    xy: Float[ndarray, "... 2"],
+) -> Float[ndarray, "... 2"]:
     """Vectors of the plane, turned counter-clockwise.
 
     Parameters
@@ -23,4 +35,6 @@ def turned_by(angle_rad: Float[ndarray, "..."] | float, xy: Float[ndarray, "... 
     """
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     x, y = xy[..., 0], xy[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    turned_x = cos * x - sin * y
+    turned_y = sin * x + cos * y
+    return np.stack([turned_x, turned_y], axis=-1)

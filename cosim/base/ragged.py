@@ -22,7 +22,10 @@ def ptr_of(sorted_rows: Int[ndarray, "m"], n: int) -> Int[ndarray, "n+1"]:
     return np.searchsorted(sorted_rows, np.arange(n + 1)).astype(np.int64)
 
 
-def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray, ndarray]:
+def expand(
+    starts: Int[ndarray, "m"],
+    stops: Int[ndarray, "m"],
+) -> tuple[ndarray, ndarray]:
     """All integers of the ranges [start, stop), range after range, and the number of the range of each integer.
 
     No stop may be below its start.
@@ -32,7 +35,10 @@ def expand(starts: Int[ndarray, "m"], stops: Int[ndarray, "m"]) -> tuple[ndarray
     return ranges(starts, counts), which
 
 
-def ranges(start: Int[ndarray, "r"], count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
+def ranges(
+    start: Int[ndarray, "r"],
+    count: Int[ndarray, "r"],
+) -> Int[ndarray, "m"]:
     """All integers of the ranges [start, start + count), range after range. Counts may be 0."""
     before = np.cumsum(count) - count
     return np.arange(int(count.sum())) + np.repeat(start - before, count)
@@ -48,7 +54,10 @@ def owner_of_rows(count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
     return np.repeat(np.arange(len(count)), count)
 
 
-def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
+def rows_of(
+    number: Int[ndarray, "k"],
+    numbers: Int[ndarray, "n"],
+) -> tuple[Int[ndarray, "k"], Bool[ndarray, "k"]]:
     """Row of each number among ascending ones, and whether it is there. Where it is not, the row means nothing.
 
     Of equal numbers it is the first row. The function looks in a table of all numbers from the first to the last if
@@ -64,7 +73,8 @@ def rows_of(number: Int[ndarray, "k"], numbers: Int[ndarray, "n"]) -> tuple[Int[
         row = np.minimum(np.searchsorted(numbers, number), len(numbers) - 1)
         return row, numbers[row] == number
     table = np.full(span + 2, -1)  # the first and the last place are those of all numbers beyond
-    place, asked = (np.subtract(one, first - 1, dtype=np.int64) for one in (numbers, number))
+    place = np.subtract(numbers, first - 1, dtype=np.int64)
+    asked = np.subtract(number, first - 1, dtype=np.int64)
     table[place[::-1]] = np.arange(len(numbers))[::-1]  # of equal ones the first is written last
     row = table.take(asked, mode="clip")
     is_there = row >= 0
@@ -88,7 +98,9 @@ def row_numbers(rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Int[ndarray, "m
     return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
 
 
-def distinct(value: Int[ndarray, "m"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
+def distinct(
+    value: Int[ndarray, "m"],
+) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
     """Distinct numbers, ascending, and how often each occurs.
 
     The result is that of `np.unique` with `return_counts`. This function is faster if long runs of the values are in
@@ -120,7 +132,11 @@ def stable_order(value: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
     return counting_order(np.asarray(value, np.int64) - low, high - low + 1)
 
 
-def order_by_two(first: Int[ndarray, "m"], second: Int[ndarray, "m"], n: int) -> Int[ndarray, "m"]:
+def order_by_two(
+    first: Int[ndarray, "m"],
+    second: Int[ndarray, "m"],
+    n: int,
+) -> Int[ndarray, "m"]:
     """Rows sorted by the first, then by the second column. Rows that are equal in both keep their order.
 
     Parameters

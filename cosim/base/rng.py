@@ -99,7 +99,12 @@ def uniforms(prefix: np.uint64, *ids: ndarray | np.unsignedinteger, n: int = 1) 
     return hash_rng.uniforms(keys(prefix, *ids), n)
 
 
-def draws(seed: int, step: int, names: ndarray | tuple[ndarray, ...], n: int = 1) -> Float[ndarray, "rows n"]:
+def draws(
+    seed: int,
+    step: int,
+    names: ndarray | tuple[ndarray, ...],
+    n: int = 1,
+) -> Float[ndarray, "rows n"]:
     """`n` uniforms in [0, 1) for each row of names: the draws of a class of a user's own.
 
     The same seed, step and names give the same numbers. The order of the rows and other rows have no effect.
@@ -140,7 +145,8 @@ def persistent(
     """
     phase = uniforms(prefix, *ids)[:, 0]
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
-    before, after = (normals(prefix, *ids, cell + step, n=n) for step in (1.0, 2.0))
+    before = normals(prefix, *ids, cell + 1.0, n=n)
+    after = normals(prefix, *ids, cell + 2.0, n=n)
     return hash_rng.between(before, after, w[:, None])
 
 

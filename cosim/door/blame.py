@@ -41,10 +41,8 @@ def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseEx
     except BaseException as error:  # a user's file can raise anything
         if is_interrupt(error):
             raise
-        raise Refused(
-            f"{file}:{line_of(error, file) or line}: {place}: {what}: {reason(error)}. "
-            "cosim --debug shows the traceback."
-        ) from error
+        at = line_of(error, file) or line
+        raise Refused(f"{file}:{at}: {place}: {what}: {reason(error)}. cosim --debug shows the traceback.") from error
 
 
 @contextmanager
@@ -64,7 +62,8 @@ def in_use(file: str, what: str) -> Iterator[None]:
 
 def is_interrupt(error: BaseException) -> bool:
     """Whether an exception comes from a signal (Ctrl-C, or a stop of the run) and not from a user's class."""
-    ours = not isinstance(error, Exception) and type(error).__module__.split(".")[0] == "cosim"
+    package = type(error).__module__.split(".")[0]
+    ours = not isinstance(error, Exception) and package == "cosim"
     return ours or isinstance(error, KeyboardInterrupt)
 
 
@@ -97,7 +96,8 @@ def definition_line(of: type, name: str, file: str) -> int:
 
 def same_file(one: str, other: str) -> bool:
     """Whether two names refer to the same file."""
-    return one == other or (bool(one and other) and Path(one).name == Path(other).name and _resolved(one) == other)
+    are_alike = Path(one).name == Path(other).name  # before links are resolved, which takes time
+    return one == other or (are_alike and _resolved(one) == other)
 
 
 def _resolved(name: str) -> str:

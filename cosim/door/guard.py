@@ -41,7 +41,7 @@ def construct(choice: Choice, *arguments: Any) -> Any:
     if not choice.is_own:
         return choice.of(*arguments)
     file = choice.source.file
-    place = f"{choice.kind.title} {choice.of.__name__}"
+    place = _class_of(choice)
     with blame.at_load(file, place, "cannot be made", blame.definition_line(choice.of, "__init__", file)):
         return choice.of(*arguments[: shape.n_arguments(choice.of, arguments)])
 
@@ -78,12 +78,12 @@ class Guarded:
     def _call(self, name: str, method: Any, *given: Any) -> Any:
         """Call a method and check its result."""
         choice, file = self._choice, self._choice.source.file
-        what = f"{choice.kind.title} {choice.of.__name__}: {name}()"
+        what = f"{_class_of(choice)}: {name}()"
         hook = choice.kind.hooks[name]
         before = _content(hook.parameters, given)
         try:
             with isolation.kept():
-                returned = method(*(_shown(name, one) for name, one in zip(hook.parameters, given, strict=True)))
+                returned = method(*map(_shown, hook.parameters, given))
         except isolation.FolderChanged as moved:
             raise blame.ExtensionError(
                 f"{file}:{blame.definition_line(choice.of, name, file)}: {what} {moved}."
@@ -121,7 +121,12 @@ def refuse(own: Any, name: str, what: str) -> None:
     choice = own._choice
     file = choice.source.file
     line = blame.definition_line(choice.of, name, file)
-    raise blame.ExtensionError(f"{file}:{line}: {choice.kind.title} {choice.of.__name__}: {name}() {what}.")
+    raise blame.ExtensionError(f"{file}:{line}: {_class_of(choice)}: {name}() {what}.")
+
+
+def _class_of(choice: Choice) -> str:
+    """The kind and the name of a class, as messages say them."""
+    return f"{choice.kind.title} {choice.of.__name__}"
 
 
 def _shown(name: str, value: Any) -> Any:
@@ -143,13 +148,17 @@ def _read_only(value: Any) -> Any:
     return value
 
 
-def _content(names: tuple[str, ...], given: tuple[Any, ...]) -> dict[str, int]:
+def _content(
+    names: tuple[str, ...],
+    given: tuple[Any, ...],
+) -> dict[str, int]:
     """Checksums of all arrays in the arguments of a call, by name. Arrays within dataclasses are included."""
     found: dict[str, int] = {}
 
     def add(name: str, value: Any) -> None:
         if isinstance(value, ndarray):
-            found[name] = zlib.crc32(np.ascontiguousarray(value).view(np.uint8).reshape(-1).data) if value.size else 0
+            flat = np.ascontiguousarray(value).reshape(-1)
+            found[name] = zlib.crc32(flat.view(np.uint8).data)
         elif is_dataclass(value) and not isinstance(value, type):
             for field in fields(value):
                 add(f"{name}.{field.name}", getattr(value, field.name, None))

@@ -134,5 +134,5 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in (
 )}  # fmt: skip
 """Every kind of choice, by name."""
 
-SECTIONS: Mapping[str, Kind] = {kind.section: kind for kind in KINDS.values() if kind.section}
+SECTIONS = {kind.section: kind for kind in KINDS.values() if kind.section}
 """The kinds that a config chooses, by section."""

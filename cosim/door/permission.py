@@ -86,7 +86,8 @@ def _places(file: Path) -> Iterator[str]:
         yield place
         if not os.path.islink(place):
             return
-        place = os.path.abspath(os.path.join(os.path.dirname(place), os.readlink(place)))
+        target = os.path.join(os.path.dirname(place), os.readlink(place))
+        place = os.path.abspath(target)
 
 
 def _is_of_a_run(folder: Path) -> bool:
@@ -94,7 +95,9 @@ def _is_of_a_run(folder: Path) -> bool:
     names: list[str] = []
     with suppress(OSError):  # a folder that cannot be listed
         names = os.listdir(folder)
-    if _MARKS & {name.casefold() for name in names} or any(os.path.lexists(folder / mark) for mark in _MARKS):
+    if not _MARKS.isdisjoint(map(str.casefold, names)):
+        return True
+    if any(os.path.lexists(folder / mark) for mark in _MARKS):
         return True
     for name in names:
         if name.casefold() in _OF_STUDIES:

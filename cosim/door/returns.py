@@ -118,10 +118,19 @@ def reports(call: Call, returned: Any) -> Reports:
     sweeps, _, boxes = call.given[:3]
     _typed("", returned, Reports, "build it by Reports.of_actors, of_false_positives or concat")
     n = _check_boxes(returned.boxes)
-    _columns("", returned, n, "one for each box", {
-        "observer": ("iu", 0, len(sweeps.observers) - 1), "label": ("iu", 0, len(ObjectClass) - 1),
-        "score": ("f", 0, 1), "actor": ("iu",), "is_false_positive": ("b",),
-    })  # fmt: skip
+    _columns(
+        "",
+        returned,
+        n,
+        "one for each box",
+        {
+            "observer": ("iu", 0, len(sweeps.observers) - 1),
+            "label": ("iu", 0, len(ObjectClass) - 1),
+            "score": ("f", 0, 1),
+            "actor": ("iu",),
+            "is_false_positive": ("b",),
+        },
+    )
     actor = np.where(returned.is_false_positive, 0, returned.actor)
     _within("actor", actor, 0, max(0, len(boxes) - 1))
     return detached(returned)
@@ -139,9 +148,18 @@ def speed_commands(call: Call, returned: Any) -> tuple[Any, SpeedCommands]:
     _none("actor", commands.actor, lost, "a vehicle of this step by its number in world.actor, not its row,")
     if commands.reasons is not None:
         _typed("reasons", commands.reasons, Reasons, "or None")
-        _columns("reasons.", commands.reasons, n, "one for each command", {
-            "source_step": ("iu",), "source": ("iu",), "source_index": ("iu",), "gap_m": ("f",),
-        })  # fmt: skip
+        _columns(
+            "reasons.",
+            commands.reasons,
+            n,
+            "one for each command",
+            {
+                "source_step": ("iu",),
+                "source": ("iu",),
+                "source_index": ("iu",),
+                "gap_m": ("f",),
+            },
+        )
     return state, detached(commands)
 
 
@@ -158,10 +176,21 @@ def message_round(call: Call, returned: Any) -> tuple[Any, MessageRound]:
         )
     got, frames, at, last_s = happened.receptions, happened.frames, "receptions.", round_s + 1e-9
     _typed("receptions", got, Receptions, "build it by MessageRound.of")
-    _columns(at, got, _length(f"{at}receiver", got.receiver), "one for each reception", {
-        "receiver": ("iu",), "message": ("iu",), "hops": ("iu", 1, MOST_HOPS), "distance_m": ("f", 0, FARTHEST_M),
-        "generation_offset_s": ("f", 0, last_s), "access_delay_s": ("f", 0, last_s), "latency_s": ("f", 0, last_s),
-    })  # fmt: skip
+    _columns(
+        at,
+        got,
+        _length(f"{at}receiver", got.receiver),
+        "one for each reception",
+        {
+            "receiver": ("iu",),
+            "message": ("iu",),
+            "hops": ("iu", 1, MOST_HOPS),
+            "distance_m": ("f", 0, FARTHEST_M),
+            "generation_offset_s": ("f", 0, last_s),
+            "access_delay_s": ("f", 0, last_s),
+            "latency_s": ("f", 0, last_s),
+        },
+    )
     _check_links(at, got, len(stations), messages)
     pairs = pair_key(got.receiver, got.message)
     _ascending(f"{at}receiver, message", pairs)
@@ -178,10 +207,20 @@ def _check_frames(frames: Any, n_stations: int, messages: Any) -> None:
     """The outcomes of the frames of a round."""
     at = "frames."
     _typed("frames", frames, FrameOutcomes, "build it by MessageRound.of")
-    _columns(at, frames, _length(f"{at}receiver", frames.receiver), "one for each frame and station in range", {
-        "message": ("iu",), "receiver": ("iu",), "hop": ("iu", 1, MOST_HOPS), "distance_m": ("f", 0, FARTHEST_M),
-        "los_state": ("iu", 0, len(LosState) - 1), "outcome": ("iu", 0, len(Outcome) - 1),
-    })  # fmt: skip
+    _columns(
+        at,
+        frames,
+        _length(f"{at}receiver", frames.receiver),
+        "one for each frame and station in range",
+        {
+            "message": ("iu",),
+            "receiver": ("iu",),
+            "hop": ("iu", 1, MOST_HOPS),
+            "distance_m": ("f", 0, FARTHEST_M),
+            "los_state": ("iu", 0, len(LosState) - 1),
+            "outcome": ("iu", 0, len(Outcome) - 1),
+        },
+    )
     _check_links(at, frames, n_stations, messages)
     _columns(at, frames, len(messages), "one for each message", {"n_transmissions": ("iu", 0, 2**31)})
     if frames.cbr is not None:
@@ -205,24 +244,40 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
     s, subject = returned, returned.subject
     given = call.given[0] if call.given else None
     now = call.latest_step if given is None else given
-    is_step = isinstance(s.step, int | np.integer) and not isinstance(s.step, bool)
+    is_step = type(s.step) is int or isinstance(s.step, np.integer)
     if not is_step or (now is not None and s.step > now):
         raise Wrong(f"returned step = {s.step!r}", f"the step of the call{'' if now is None else f', {now},'}")
     now = int(s.step) if now is None else now
     large = np.finfo(float).max
-    _columns("", s, _length("subject", subject), "one for each (holder, subject)", {
-        "holder": ("iu", 0, LARGEST_NAME), "subject": ("iu", 0, LARGEST_NAME), "trust": ("f", 0, 1),
-        "uncertainty": ("f",), "weight": ("f", 0, large), "n_evaluations": ("iu", 0, 2**62), "newest_step": ("iu",),
-        "oldest_step": ("iu",), "newest_evaluation_step": ("iu",), "oldest_evaluation_step": ("iu",),
-        "is_evaluated": ("b",), **({} if s.n_evaluators is None else {"n_evaluators": ("iu", 0, 2**62)}),
-    })  # fmt: skip
+    _columns(
+        "",
+        s,
+        _length("subject", subject),
+        "one for each (holder, subject)",
+        {
+            "holder": ("iu", 0, LARGEST_NAME),
+            "subject": ("iu", 0, LARGEST_NAME),
+            "trust": ("f", 0, 1),
+            "uncertainty": ("f",),
+            "weight": ("f", 0, large),
+            "n_evaluations": ("iu", 0, 2**62),
+            "newest_step": ("iu",),
+            "oldest_step": ("iu",),
+            "newest_evaluation_step": ("iu",),
+            "oldest_evaluation_step": ("iu",),
+            "is_evaluated": ("b",),
+        },
+    )
+    if s.n_evaluators is not None:
+        _columns("", s, len(subject), "one for each (holder, subject)", {"n_evaluators": ("iu", 0, 2**62)})
     if not np.isnan(s.uncertainty[s.is_evaluated]).all():
         unsure = np.where(s.is_evaluated, s.uncertainty, 0.0)
         _none("uncertainty", unsure, ~((unsure >= 0) & (unsure <= 1)), "0 to 1, or NaN in all rows,", subject)
     _none("is_evaluated", s.is_evaluated, s.is_evaluated != (s.n_evaluations > 0), "n_evaluations > 0", subject)
     if s.n_evaluators is not None:
         _none("n_evaluators", s.n_evaluators, s.n_evaluators > s.n_evaluations, "0 to n_evaluations", subject)
-    for what, counts in (("step", np.ones(len(subject), bool)), ("evaluation_step", s.is_evaluated)):
+    all_rows = np.ones(len(subject), bool)
+    for what, counts in (("step", all_rows), ("evaluation_step", s.is_evaluated)):
         newest, oldest = getattr(s, f"newest_{what}"), getattr(s, f"oldest_{what}")
         _none(f"newest_{what}", newest, counts & (newest > now), f"a step up to {now}, that of the call,", subject)
         _none(f"oldest_{what}", oldest, counts & (oldest > newest), f"not later than newest_{what}", subject)
@@ -243,12 +298,26 @@ def _check_detections(returned: Any, n_world: int) -> None:
     _typed("", returned, Detections, "change the given ones with dataclasses.replace")
     n = _length("observer", returned.observer)
     _check_boxes(returned.boxes, n, is_bounded=False)
-    _columns("", returned, n, "one for each detection", {
-        "observer": ("iu", 0, n_world - 1), "target": ("iu", 0, n_world - 1), "origin": ("iu", 0, len(Origin) - 1),
-        "identity": ("iu", 0, MOST_IDENTITIES), "detection_index": ("iu",), "label": ("iu", 0, 255), "score": ("f",),
-        "n_points": ("iu",), "transmitted": ("b",), "speed_mps": ("f",), "acceleration_mps2": ("f",),
-        "accuracy_factor": ("f", LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR),
-    })  # fmt: skip
+    _columns(
+        "",
+        returned,
+        n,
+        "one for each detection",
+        {
+            "observer": ("iu", 0, n_world - 1),
+            "target": ("iu", 0, n_world - 1),
+            "origin": ("iu", 0, len(Origin) - 1),
+            "identity": ("iu", 0, MOST_IDENTITIES),
+            "detection_index": ("iu",),
+            "label": ("iu", 0, 255),
+            "score": ("f",),
+            "n_points": ("iu",),
+            "transmitted": ("b",),
+            "speed_mps": ("f",),
+            "acceleration_mps2": ("f",),
+            "accuracy_factor": ("f", LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR),
+        },
+    )
     _column("velocity_mps", returned.velocity_mps, (n, 2), "f", what="east and north of each detection")
 
 
@@ -317,10 +386,20 @@ def sending(call: Call, returned: Any) -> Sending:
     """How each actor sends."""
     context = call.given[0]
     _typed("", returned, Sending, "begin with Sending.plain(len(context.world))")
-    _columns("", returned, len(context.world), "one for each actor of the world", {
-        "delay_s": ("f", 0, LONGEST_DELAY_S), "n_copies": ("iu", 0, MOST_COPIES), "n_reports": ("iu", 0, MOST_REPORTS),
-        "jam_dbm": ("f", -np.inf, LOUDEST_DBM), "react_dbm": ("f", -np.inf, LOUDEST_DBM), "ignores_dcc": ("b",),
-    })  # fmt: skip
+    _columns(
+        "",
+        returned,
+        len(context.world),
+        "one for each actor of the world",
+        {
+            "delay_s": ("f", 0, LONGEST_DELAY_S),
+            "n_copies": ("iu", 0, MOST_COPIES),
+            "n_reports": ("iu", 0, MOST_REPORTS),
+            "jam_dbm": ("f", -np.inf, LOUDEST_DBM),
+            "react_dbm": ("f", -np.inf, LOUDEST_DBM),
+            "ignores_dcc": ("b",),
+        },
+    )
     plain, honest_row = Sending.plain(len(context.world)), Sending.plain(1)
     for field in fields(Sending):
         column, honest = getattr(returned, field.name), getattr(plain, field.name)
@@ -390,13 +469,15 @@ def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
 def _same(one: Any, other: Any) -> bool:
     """Whether two columns, or two tables, are equal."""
     if isinstance(one, Rows):
-        return all(_same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))  # type: ignore[arg-type]
+        names = [field.name for field in fields(one)]  # type: ignore[arg-type]
+        return all(_same(getattr(one, name), getattr(other, name)) for name in names)
     return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
 
 
 def _is_number(value: Any) -> bool:
     """Whether a value is a number and no bool."""
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    return is_number and not isinstance(value, bool)
 
 
 def _positive(name: str, value: Any, below: float = np.nan) -> None:
@@ -438,7 +519,13 @@ def _length(name: str, value: Any) -> int:
     return len(value)
 
 
-def _columns(prefix: str, value: Any, n: int, what: str, expected: Mapping[str, tuple[Any, ...]]) -> None:
+def _columns(
+    prefix: str,
+    value: Any,
+    n: int,
+    what: str,
+    expected: Mapping[str, tuple[Any, ...]],
+) -> None:
     """Check the columns of a dataclass, each with n rows. `expected` has the kinds of dtype and the bounds of each."""
     for name, (kinds, *bounds) in expected.items():
         column, full_name = getattr(value, name), f"{prefix}{name}"
@@ -449,9 +536,14 @@ def _columns(prefix: str, value: Any, n: int, what: str, expected: Mapping[str, 
 
 
 def _column(
-    name: str, value: Any, shape: tuple[int, ...], kinds: str, low: float | None = None, high: float | None = None,
+    name: str,
+    value: Any,
+    shape: tuple[int, ...],
+    kinds: str,
+    low: float | None = None,
+    high: float | None = None,
     what: str = "",
-) -> None:  # fmt: skip
+) -> None:
     """Raise `Wrong` if a value is not an array of this shape and these kinds of dtype, within these bounds."""
     if type(value) is not ndarray or value.shape != shape or value.dtype.kind not in kinds:
         raise Wrong(
@@ -472,7 +564,7 @@ def _within(name: str, column: ndarray, low: float, high: float, subject: ndarra
 
 def _none(
     name: str, column: ndarray, wrong: Bool[ndarray, "n ..."], expected: str, subject: ndarray | None = None
-) -> None:  # fmt: skip
+) -> None:
     """Raise `Wrong` if any row of a column is wrong, with the first such row."""
     if not wrong.any():
         return

@@ -29,8 +29,11 @@ def kind_of(of: type, file: str, kinds: Mapping[str, Kind]) -> Kind:
     hooks = {hook for kind in kinds.values() for hook in kind.hooks}
     hints = [did_you_mean(name, hooks, f"{name}(): ") for name in _own_methods(of)]
     hint = next(filter(None, hints), "")
-    due = "; ".join(f"{kind.title}: {', '.join(kind.required or kind.hooks)}" for kind in kinds.values())
-    raise Refused(f"{where} has the methods of no kind of extension. {hint}Methods of each: {due}.")
+    due = []
+    for kind in kinds.values():
+        names = ", ".join(kind.required or kind.hooks)
+        due.append(f"{kind.title}: {names}")
+    raise Refused(f"{where} has the methods of no kind of extension. {hint}Methods of each: {'; '.join(due)}.")
 
 
 def check_class(of: type, kind: Kind, file: str) -> None:
@@ -54,8 +57,11 @@ def check_class(of: type, kind: Kind, file: str) -> None:
             )
     missing = [name for name in kind.required if name in lacking]
     if missing or len(lacking) == len(kind.hooks):
-        due = " or ".join(f"{name}({', '.join(kind.hooks[name].parameters)})" for name in missing or kind.hooks)
-        raise Refused(f"{where()} has no method {due}, which {kind.a_title} needs. Write it.")
+        due = []
+        for name in missing or kind.hooks:
+            parameters = ", ".join(kind.hooks[name].parameters)
+            due.append(f"{name}({parameters})")
+        raise Refused(f"{where()} has no method {' or '.join(due)}, which {kind.a_title} needs. Write it.")
     for name in kind.hooks.keys() - set(lacking):
         _check_method(of, name, kind.hooks[name].parameters, where(name))
     params = inspect.getattr_static(of, "Params", None)
@@ -79,13 +85,14 @@ def did_you_mean(name: str, known: Iterable[str], begin: str = "") -> str:
 
 def classes_of(module: ModuleType) -> list[str]:
     """Names of the classes that a module defines."""
-    return [name for name, of in vars(module).items() if isinstance(of, type) and of.__module__ == module.__name__]
+    classes = {name: of for name, of in vars(module).items() if isinstance(of, type)}
+    return [name for name, of in classes.items() if of.__module__ == module.__name__]
 
 
 def n_arguments(of: type, arguments: tuple[Any, ...]) -> int:
     """Number of arguments that a constructor takes. Its signature may omit the last ones."""
     parameters = _parameters(of)
-    if parameters is None or any(p.kind is p.VAR_POSITIONAL for p in parameters):
+    if parameters is None or _takes_any(parameters):
         return len(arguments)
     return min(len(arguments), len(_positional(parameters)))
 
@@ -97,8 +104,13 @@ def _has_hooks(of: type, kind: Kind) -> bool:
 
 def _own_methods(of: type) -> list[str]:
     """Public methods that the user's own classes define, without those of included base classes."""
-    ours = {name for base in of.__mro__ if base.__module__.split(".")[0] in _OURS for name in vars(base)}
-    own = [base for base in of.__mro__ if base.__module__.split(".")[0] not in _OURS]
+    ours: set[str] = set()
+    own = []
+    for base in of.__mro__:
+        if base.__module__.split(".")[0] in _OURS:
+            ours |= vars(base).keys()
+        else:
+            own.append(base)
     found = []
     for base in own:
         for name, value in vars(base).items():
@@ -120,6 +132,11 @@ def _positional(parameters: list[inspect.Parameter]) -> list[inspect.Parameter]:
     return [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
 
 
+def _takes_any(parameters: list[inspect.Parameter]) -> bool:
+    """Whether any number of arguments can follow, as with `*arguments`."""
+    return any(p.kind is p.VAR_POSITIONAL for p in parameters)
+
+
 def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None:
     """Raise `Refused` if a method cannot be called with the arguments of its kind."""
     raw = inspect.getattr_static(of, name)
@@ -129,22 +146,27 @@ def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None
         what = "a property" if isinstance(raw, property) else f"{type(raw).__name__}, not a method"
         raise Refused(f"{where}: {name} is {what}. {cure}")
     for is_it, what in (
-        (inspect.iscoroutinefunction, "is asynchronous"), (inspect.isgeneratorfunction, "is a generator: it has yield"),
+        (inspect.iscoroutinefunction, "is asynchronous"),
+        (inspect.isgeneratorfunction, "is a generator: it has yield"),
         (inspect.isasyncgenfunction, "is an asynchronous generator"),
-    ):  # fmt: skip
+    ):
         if is_it(function):
             raise Refused(f"{where}: {name}() {what}. Write a plain method that returns its result.")
     parameters = _parameters(function)
     if parameters is None or not inspect.isfunction(inspect.unwrap(function)):
         return  # the signature of another kind of callable is not known before the call
-    if not isinstance(raw, staticmethod) and (own := _positional(parameters)):
-        if own[0].name in due and len(own) == len(due):
+    if not isinstance(raw, staticmethod):
+        own = _positional(parameters)
+        has_self = _takes_any(parameters)
+        if own:
+            has_self = own[0].name not in due or len(own) != len(due)
+        if not has_self:
             raise Refused(f"{where}: {name}({_shown(parameters)}) has no self. {cure}")
-        parameters.remove(own[0])
-    elif not isinstance(raw, staticmethod) and not any(p.kind is p.VAR_POSITIONAL for p in parameters):
-        raise Refused(f"{where}: {name}({_shown(parameters)}) has no self. {cure}")
+        if own:
+            parameters.remove(own[0])
     if problem := _misfit(parameters, due, exactly=True):
-        raise Refused(f"{where}: {name}({_shown(parameters)}) {problem}: it is called with ({', '.join(due)}). {cure}")
+        called = ", ".join(due)
+        raise Refused(f"{where}: {name}({_shown(parameters)}) {problem}: it is called with ({called}). {cure}")
 
 
 def _shown(parameters: list[inspect.Parameter]) -> str:
@@ -157,13 +179,13 @@ def _misfit(parameters: list[inspect.Parameter], due: tuple[str, ...], exactly: 
     With `exactly`, all arguments are given. Otherwise only as many of the first as there are parameters.
     """
     own = _positional(parameters)
-    takes_any = any(p.kind is p.VAR_POSITIONAL for p in parameters)
     needed = [p.name for p in own if p.default is p.empty]
     if len(needed) > len(due):
         return f"needs {', '.join(needed[len(due) :])} too"
-    if exactly and not takes_any and len(own) < len(due):
+    if exactly and not _takes_any(parameters) and len(own) < len(due):
         return "takes too few arguments"
-    if forced := [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is p.empty]:
+    by_keyword = [p for p in parameters if p.kind is p.KEYWORD_ONLY]
+    if forced := [p.name for p in by_keyword if p.default is p.empty]:
         return f"needs {', '.join(forced)} by keyword"
     for at, parameter in enumerate(own[: len(due)]):
         if parameter.name in due and due.index(parameter.name) != at:
@@ -182,7 +204,7 @@ def _check_constructor(of: type, has_params: bool, kind: Kind, where: str) -> No
             f"{where}: the constructor takes {_shown(takes)}, but the class has no Params. Name a frozen dataclass in "
             "it, Params = ..., or write def __init__(self)."
         )
-    if has_params and not takes and not any(p.kind is p.VAR_POSITIONAL for p in parameters):
+    if has_params and not takes and not _takes_any(parameters):
         raise Refused(
             f"{where}: the class has Params, but its constructor does not take them. Write "
             f"def __init__(self, {', '.join(due)})."

@@ -57,8 +57,10 @@ class Fact:
     def __post_init__(self) -> None:
         n = len(self.value)
         if len(self.at) != n or len(self.uncertainty) not in (1, n):
-            raise ValueError(f"fact {self.id}: {len(self.at)} places, {n} values and {len(self.uncertainty)} "
-                             "uncertainties do not belong together.")  # fmt: skip
+            raise ValueError(
+                f"fact {self.id}: {len(self.at)} places, {n} values and "
+                f"{len(self.uncertainty)} uncertainties do not belong together."
+            )
         if self.compare not in get_args(Compare) or self.verdict not in get_args(Stated):
             raise ValueError(f"fact {self.id}: compare = {self.compare!r} or verdict = {self.verdict!r} is unknown.")
         if self.verdict in ("differs", "cannot be set") and not self.reason:
@@ -71,14 +73,16 @@ class Fact:
     @property
     def low(self) -> Float[ndarray, "k"]:
         """Lower edge of the band around each value."""
-        value = np.array(self.value)
-        return np.full(len(value), -np.inf) if self.compare == "at_most" else value - self._half
+        if self.compare == "at_most":
+            return np.full(len(self.value), -np.inf)
+        return np.array(self.value) - self._half
 
     @property
     def high(self) -> Float[ndarray, "k"]:
         """Upper edge of the band around each value."""
-        value = np.array(self.value)
-        return np.full(len(value), np.inf) if self.compare == "at_least" else value + self._half
+        if self.compare == "at_least":
+            return np.full(len(self.value), np.inf)
+        return np.array(self.value) + self._half
 
     @property
     def _half(self) -> Float[ndarray, "k"]:
@@ -150,7 +154,8 @@ class ComparedFact:
     def inside(self) -> Bool[ndarray, "k"]:
         """Whether each of our values lies in the band of the fact."""
         assert self.ours is not None
-        return (self.ours.value >= self.fact.low) & (self.ours.value <= self.fact.high)
+        value = self.ours.value
+        return (value >= self.fact.low) & (value <= self.fact.high)
 
     @property
     def verdict(self) -> Verdict:
@@ -171,7 +176,9 @@ class ComparedFact:
         return self.fact.verdict == "agrees" and self.verdict in ("differs", "not computed")
 
 
-def load(path: Path = FILE) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
+def load(
+    path: Path = FILE,
+) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
     """The facts and the runs behind them, by name.
 
     Raises
@@ -182,12 +189,16 @@ def load(path: Path = FILE) -> tuple[dict[str, Fact], dict[str, RunPlan]]:
     """
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     known = {f.name for f in fields(Fact)}
-    plans = {
-        name: RunPlan(
-            name, plan["what"], tuple(plan["set"]), tuple(plan["quick"]), tuple(plan["full"]), plan.get("scene", "")
+    plans = {}
+    for name, plan in data.get("runs", {}).items():
+        plans[name] = RunPlan(
+            name,
+            plan["what"],
+            tuple(plan["set"]),
+            tuple(plan["quick"]),
+            tuple(plan["full"]),
+            plan.get("scene", ""),
         )
-        for name, plan in data.get("runs", {}).items()
-    }
     facts: dict[str, Fact] = {}
     for row in data["fact"]:
         if unknown := set(row) - known:
@@ -220,7 +231,9 @@ def chosen(facts: Mapping[str, Fact], asked: Sequence[str]) -> list[Fact]:
                 f"{name} is neither a fact nor a group of facts. Groups: {', '.join(sorted(groups))}. "
                 "`cosim compare --list` lists the facts."
             )
-    return [fact for fact in facts.values() if not asked or fact.id in asked or fact.group in asked]
+    if not asked:
+        return list(facts.values())
+    return [fact for fact in facts.values() if fact.id in asked or fact.group in asked]
 
 
 def _listed(value: Any) -> tuple[Any, ...]:

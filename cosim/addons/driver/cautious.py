@@ -175,14 +175,18 @@ class Cautious:
         own = np.flatnonzero(beliefs.ego_detected & ~own_person)
         can = (path >= 0) & self._reacts(world)
         counts = ~beliefs.ego_detected | own_person
-        rows = np.flatnonzero((beliefs.score >= p.min_score) & counts & can[beliefs.ego])
+        counts &= beliefs.score >= p.min_score
+        rows = np.flatnonzero(counts & can[beliefs.ego])
         look_m = self._look_m(world)
         rows = rows[self._within_reach(world, beliefs, rows, look_m)]
         if watched is not None and len(watched):
             watched = watched.take(~_seen_by_own(watched, beliefs, own, world))
         ego = beliefs.ego[rows]
-        xy_m, lw_m = boxes.xyz_m[rows, :2], boxes.lwh_m[rows, :2]
-        gap_m, _ = ahead_on_path(paths, path[ego], xy_m, lw_m, boxes.yaw_rad[rows], look_m[ego], p.half_width_m)
+        xy_m = boxes.xyz_m[rows, :2]
+        lw_m = boxes.lwh_m[rows, :2]
+        yaw_rad = boxes.yaw_rad[rows]
+        path, look_m = path[ego], look_m[ego]
+        gap_m, _ = ahead_on_path(paths, path, xy_m, lw_m, yaw_rad, look_m, p.half_width_m)
         steps_out = (beliefs.label[rows] == _PEDESTRIAN) & (p.persons_ahead_s > 0)
         found = Believed.of(beliefs, rows[np.isfinite(gap_m) | steps_out], world, dt_s)
         found = found.take(~_seen_by_own(found, beliefs, own, world))
@@ -199,14 +203,16 @@ class Cautious:
         between_m = xyz_m[:, :2] - vehicle.xyz_m[ego, :2]
         near = np.hypot(*between_m.T) <= own_reach_m + diagonal_m / 2
         footing_m = vehicle.xyz_m[:, 2] - vehicle.lwh_m[:, 2] / 2
-        higher_m = xyz_m[:, 2] - lwh_m[:, 2] / 2 - footing_m[ego]
+        bottom_m = xyz_m[:, 2] - lwh_m[:, 2] / 2
+        higher_m = bottom_m - footing_m[ego]
         return near & (np.abs(higher_m) <= _LEVEL_M)
 
     def _follow(self, watched: Believed, world: World, paths: LanePaths, now_s: float, dt_s: float) -> SpeedCommands:
         """The lowest speed that any tracked object requires, per vehicle."""
         p = self.params
         row = np.searchsorted(world.actor, watched.ego)
-        path, look_m = _path_of(world, paths)[row], self._look_m(world)[row]
+        path = _path_of(world, paths)[row]
+        look_m = self._look_m(world)[row]
         lw_m, yaw_rad = watched.lw_m, watched.yaw_rad
         gap_m, heading = ahead_on_path(paths, path, watched.xy_m, lw_m, yaw_rad, look_m, p.half_width_m)
         is_person = watched.label == _PEDESTRIAN
@@ -256,7 +262,10 @@ def _moved(watched: Believed, dt_s: float) -> Believed:
     return replace(watched, xy_m=watched.xy_m + watched.velocity_mps * dt_s)
 
 
-def _pairs(a: Int[ndarray, "a"], b: Int[ndarray, "b"]) -> tuple[ndarray, ndarray]:
+def _pairs(
+    a: Int[ndarray, "a"],
+    b: Int[ndarray, "b"],
+) -> tuple[ndarray, ndarray]:
     """Rows of all pairs of equal numbers in `a` and `b`, sorted by row of `a`."""
     order = np.argsort(b, kind="stable")
     first, stop = (np.searchsorted(b[order], a, side) for side in ("left", "right"))
@@ -292,7 +301,9 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     is_person = found.label[new] == _PEDESTRIAN
     shown = _possible(moved_m / since_s[nearest, None], found.yaw_rad[new], is_person)
     before = np.where(watched.has_speed[old, None], watched.velocity_mps[old], shown)
-    velocity, has_speed, known_s = found.velocity_mps.copy(), found.has_speed.copy(), found.known_s.copy()
+    velocity = found.velocity_mps.copy()
+    has_speed = found.has_speed.copy()
+    known_s = found.known_s.copy()
     velocity[new] = (before + shown) / 2
     has_speed[new] = True
     known_s[new] = watched.known_s[old]

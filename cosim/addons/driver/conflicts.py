@@ -17,7 +17,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.base.codes import PARKED
-from cosim.base.plane import turned_by
+from cosim.base.plane import crossed, turned_by
 from results.run import Run
 
 RANGE_M = 50.0
@@ -137,11 +137,9 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     scale = reach_m / _PET_S
     scaled_time = ways.step * run.dt_s * scale
     near = _near(np.column_stack([ways.start_m + ways.way_m / 2, scaled_time]), reach_m)
-    found = [_crossing(pairs, ways) for pairs in near]
-    nothing = np.zeros(0, int)
-    i, j, u, v = map(np.concatenate, zip((nothing,) * 4, *found, strict=True))
-    one_road = np.flatnonzero(_on_one_road(ways.ground_m, i, j))
-    i, j, u, v = i[one_road], j[one_road], u[one_road], v[one_road]
+    nothing = np.zeros((0, 2), int)
+    found = [_crossing(pairs, ways) for pairs in (nothing, *near)]
+    i, j, u, v = map(np.concatenate, zip(*found, strict=True))
     at_i = (ways.step[i] + u) * run.dt_s
     at_j = (ways.step[j] + v) * run.dt_s
     in_i = _half_m(ways, i, j) * run.dt_s / ways.long_m[i]
@@ -212,33 +210,27 @@ def _near(points: Float[ndarray, "n 3"], reach_m: float) -> Iterator[Int[ndarray
 
 
 def _crossing(pairs: Int[ndarray, "p 2"], ways: _Ways) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Pairs of ways of different vehicles that intersect, and where on each, as a share of it."""
+    """Pairs of ways of different vehicles on one road that intersect, and where on each, as a share of it."""
     i, j = pairs.T
     of_two = ways.actor[i] != ways.actor[j]
     i, j = i[of_two], j[of_two]
     dot = np.sum(ways.way_m[i] * ways.way_m[j], axis=1)
     cosine = dot / (ways.long_m[i] * ways.long_m[j])
-    crosses = cosine < _CROSSING
+    crosses = (cosine < _CROSSING) & _on_one_road(ways.ground_m, i, j)
     i, j = i[crosses], j[crosses]
     way_i, way_j = ways.way_m[i], ways.way_m[j]
-    det = _cross(way_i, way_j)
+    det = crossed(way_i, way_j)
     between = ways.start_m[j] - ways.start_m[i]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = _cross(between, way_j) / det
-        v = _cross(between, way_i) / det
+        u = crossed(between, way_j) / det
+        v = crossed(between, way_i) / det
     inside = (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     return i[inside], j[inside], u[inside], v[inside]
 
 
-def _cross(a: Float[ndarray, "n 2"], b: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
-    """Areas that pairs of vectors span, positive where b is to the left of a."""
-    (ax, ay), (bx, by) = a.T, b.T
-    return ax * by - ay * bx
-
-
 def _half_m(ways: _Ways, row: ndarray, other: ndarray) -> Float[ndarray, "p"]:
     """Half the way on which a vehicle's footprint is in the common area: its length and the other's width, slanted."""
-    area = np.abs(_cross(ways.way_m[row], ways.way_m[other]))
+    area = np.abs(crossed(ways.way_m[row], ways.way_m[other]))
     sine = area / (ways.long_m[row] * ways.long_m[other])
     slanted_m = ways.width_m[other] / np.maximum(sine, 0.5)
     return (ways.length_m[row] + slanted_m) / 2

@@ -37,6 +37,8 @@ Chain = list[Any]
 Drives = dict[Any, tuple[float, list[str]]]
 """Cost and edges of the best drive to each edge at which a way may be left."""
 NO_DRIVE: tuple[float, list[str]] = (inf, [])
+Calls = tuple[str, set[int]]
+"""Number of a line, and the signs at which it calls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,12 @@ class BusStop:
     end_m: float
 
 
-def lines_of(extract: Extract, net: Any, project: Project, recipe: dict[str, Any]) -> tuple[list[Line], list[BusStop]]:
+def lines_of(
+    extract: Extract,
+    net: Any,
+    project: Project,
+    recipe: dict[str, Any],
+) -> tuple[list[Line], list[BusStop]]:
     """Daytime bus lines that run at least `at_least_m` through the network, and the stops they call at.
 
     `net` is a sumolib network with original ids; `project` gives nodes their place in it. `recipe` is that of buses:
@@ -77,7 +84,8 @@ def lines_of(extract: Extract, net: Any, project: Project, recipe: dict[str, Any
     runs = {}
     for kind, way in named_members:
         if kind == "w" and way in edges_of_way:
-            runs[way] = [node for node in extract.ways[way].nodes if node in extract.place]
+            nodes = extract.ways[way].nodes
+            runs[way] = [node for node in nodes if node in extract.place]
     ends = {run[end] for run in runs.values() for end in (0, -1)}
     place = project(sorted(signs | ends))
 
@@ -88,7 +96,7 @@ def lines_of(extract: Extract, net: Any, project: Project, recipe: dict[str, Any
         first, last = place[run[0]], place[run[-1]]
         return _towards(role, _chains(edges_of_way[way]), first, last)
 
-    alike: dict[tuple[str, ...], list[tuple[str, set[int]]]] = defaultdict(list)
+    alike: dict[tuple[str, ...], list[Calls]] = defaultdict(list)
     drives = []
     for relation in relations:
         named = _ways(relation, edges_of_way)
@@ -101,22 +109,27 @@ def lines_of(extract: Extract, net: Any, project: Project, recipe: dict[str, Any
         while matched and net.getEdge(matched[0]).getLength() < STOP_M:
             matched.pop(0)  # a bus begins on a lane that is long enough for it
         driven_m = sum(net.getEdge(edge).getLength() for edge in matched)
-        drawn = [run for way, _ in ways for run in pieces(extract.ways[way], extract.place)]
+        drawn: list[tuple[int, ...]] = []
+        for way, _ in ways:
+            drawn += pieces(extract.ways[way], extract.place)
         named_m = sum(length_m(extract, run) for run in drawn)
         if recipe["at_least_m"] <= driven_m <= DETOUR * named_m:
-            calls = {ref for kind, ref, _ in relation.members if kind == "n" and ref in signs}
-            alike[tuple(matched)].append((relation.tags["ref"], calls))
+            members = {ref for kind, ref, _ in relation.members if kind == "n"}
+            alike[tuple(matched)].append((relation.tags["ref"], members & signs))
     stops: dict[str, BusStop] = {}
     lines = []
-    for edges, members in sorted(alike.items()):
-        refs = tuple(sorted({ref for ref, _ in members}))
-        called: set[BusStop] = set()
-        for sign in sorted({sign for _, calls in members for sign in calls}):
+    for edges, drives_alike in sorted(alike.items()):
+        refs = tuple(sorted({ref for ref, _ in drives_alike}))
+        called = set()
+        for sign in sorted(set().union(*(calls for _, calls in drives_alike))):
             name = extract.node_tags.get(sign, {}).get("name", "")
-            if (stop := _beside(net, edges, sign, name, place[sign])) is not None:
-                called.add(_kept(stops, stop))
-        in_order = sorted(called, key=lambda stop: (edges.index(stop.lane.rsplit("_", 1)[0]), stop.end_m))
-        lines.append(Line(refs, edges, tuple(stop.id for stop in in_order)))
+            stop = _beside(net, edges, sign, name, place[sign])
+            if stop is not None:
+                stop = _kept(stops, stop)
+                edge, _, _ = stop.lane.rpartition("_")
+                called.add((edges.index(edge), stop.end_m, stop.id))
+        in_order = [stop_id for _, _, stop_id in sorted(called)]
+        lines.append(Line(refs, edges, tuple(in_order)))
     return lines, sorted(stops.values(), key=lambda stop: stop.id)
 
 
@@ -130,7 +143,12 @@ def stops_xml(stops: list[BusStop]) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n<additional>\n' + "".join(rows) + "</additional>\n"
 
 
-def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: float) -> list[str]:
+def departures(
+    lines: list[Line],
+    recipe: dict[str, Any],
+    seed: int,
+    end_s: float,
+) -> list[str]:
     """Buses by timetable: each line at its headway from a phase of its own, dwelling at every stop."""
     draw = Draw(seed, "bus")
     trips: list[str] = []
@@ -144,8 +162,9 @@ def departures(lines: list[Line], recipe: dict[str, Any], seed: int, end_s: floa
                 for stop in line.stops
             )
             trips.append(
-                f'<vehicle id="bus{n}.{n_buses}" type="bus" line={quoteattr(line.refs[0])} depart="{now:.1f}"'
-                f' departLane="best" departSpeed="max"><route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
+                f'<vehicle id="bus{n}.{n_buses}" type="bus" line={quoteattr(line.refs[0])}'
+                f' depart="{now:.1f}" departLane="best" departSpeed="max">'
+                f'<route edges="{" ".join(line.edges)}"/>{dwell}</vehicle>'
             )
             n_buses += 1
             now += headway_s * (0.8 + 0.4 * draw.uniform())
@@ -158,7 +177,10 @@ def _is_daytime_bus(relation: Relation) -> bool:
     return relation.tags.get("route") == "bus" and ref != "" and not re.fullmatch(r"N ?\d.*|.*N", ref)
 
 
-def _ways(relation: Relation, edges_of_way: dict[int, list[Any]]) -> list[tuple[int, str]]:
+def _ways(
+    relation: Relation,
+    edges_of_way: dict[int, list[Any]],
+) -> list[tuple[int, str]]:
     """The relation's ways inside the network and their roles; gaps (termini, joined junctions) are bridged later."""
     return [
         (ref, role)
@@ -184,7 +206,8 @@ def _drives(
     if not recipe.get("whole_ways") or n_alike > 1 or version == "2" or circle == "yes" or not ways:
         return [ways]
     (first, _), (last, _) = ways[0], ways[-1]
-    if len(ways) > 2 and not set(runs[first]).isdisjoint(runs[last]):
+    is_circle = not set(runs[first]).isdisjoint(runs[last])
+    if len(ways) > 2 and is_circle:
         return [ways]
     return [ways, [way for way in reversed(ways) if way[1] not in _ROLES]]
 

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy import ndarray
 
 from cosim.addons.perception.kitti import LabelledObjects
 from cosim.addons.perception.recorded import MOST_BOXES, MOST_FRAMES, class_of, number, once, read_text
 
 _COLUMNS = 15
+Row = tuple[int, str, list[float]]
+"""Frame, class and columns of an object."""
 
 
 def labels_in(folder: Path) -> Path | None:
@@ -60,34 +61,49 @@ def read(folder: Path, detections: Path | None = None) -> KittiFolder:
         raise ValueError(f"{place} has {len(files):,} files, more than {MOST_FRAMES:,}.")
     results = detections or place.parents[1] / "results"
     classes: Counter[tuple[str, str]] = Counter()
-    truth = [_file(path, frame, False, classes) for frame, path in enumerate(files)]
-    there = [(frame, path) for frame, path in enumerate(files) if (results / path.name).exists()]
-    found = [_file(results / path.name, frame, True, Counter()) for frame, path in there]
-    missing = len(files) - len(there)
+    truth, found, missing = [], [], 0
+    for frame, path in enumerate(files):
+        truth += _rows(path, frame, False, classes)
+        result = results / path.name
+        if result.exists():
+            found += _rows(result, frame, True, Counter())
+        else:
+            missing += 1
     remark = f"{missing:,} of {len(files):,} frames have no file in {results}: they count as if nothing was detected."
-    return KittiFolder(
-        _joined(truth), _joined(found), len(files), classes, (remark,) * (0 < missing < len(files))
-    )  # fmt: skip
+    remarks = (remark,) if 0 < missing < len(files) else ()
+    return KittiFolder(_objects(truth), _objects(found), len(files), classes, remarks)
 
 
-def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]]) -> LabelledObjects:
+def _rows(
+    path: Path,
+    frame: int,
+    scored: bool,
+    classes: Counter[tuple[str, str]],
+) -> list[Row]:
+    """The objects of a file, whose classes are counted."""
     lines = read_text(path).splitlines()
     if len(lines) > MOST_BOXES:
         raise ValueError(f"{path} has {len(lines):,} lines, more than {MOST_BOXES:,}.")
-    names, rows = [], []
+    rows = []
     for n, line in enumerate(lines, 1):
         if line.strip():
             name, values, said = _line(line.split(), f"{path}, line {n}", scored)
-            names.append(name)
-            rows.append(values)
+            rows.append((frame, name, values))
             classes[said, name] += 1
-    columns = np.array(rows, float).reshape(-1, 15).T
-    truncation, hidden, _, _, top, _, bottom, height, width, length, right, down, forward, turn, score = columns
+    return rows
+
+
+def _objects(rows: list[Row]) -> LabelledObjects:
+    numbers = [values for _, _, values in rows]
+    columns = np.array(numbers, float).reshape(-1, 15).T
+    truncation, hidden, _, _, top, _, bottom = columns[:7]
+    height, width, length, right, down, forward, turn, score = columns[7:]
     yaw = np.pi - (1.5 * np.pi + turn) % (2 * np.pi)  # wraps -turn - pi / 2
+    up = 0.5 * height - down
     return LabelledObjects(
-        frame=np.full(len(rows), frame),
-        label=np.array(names, object),
-        box=np.column_stack([forward, -right, 0.5 * height - down, length, width, height, yaw]),
+        frame=np.array([frame for frame, _, _ in rows], int),
+        label=np.array([name for _, name, _ in rows], object),
+        box=np.column_stack([forward, -right, up, length, width, height, yaw]),
         height_px=bottom - top,
         occlusion=np.where(hidden < 0, 3, hidden).astype(int),
         truncation=np.maximum(truncation, 0.0),
@@ -95,7 +111,11 @@ def _file(path: Path, frame: int, scored: bool, classes: Counter[tuple[str, str]
     )
 
 
-def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float], str]:
+def _line(
+    words: list[str],
+    where: str,
+    scored: bool,
+) -> tuple[str, list[float], str]:
     """Our class, the numbers, and the class that the line says."""
     if len(words) < _COLUMNS + scored:
         raise ValueError(f"{where} has {len(words)} columns and should have {_COLUMNS + scored}.")
@@ -109,13 +129,3 @@ def _line(words: list[str], where: str, scored: bool) -> tuple[str, list[float],
     said = words[0][:40]
     name = said.lower()
     return name if name == "van" else class_of(name), values, said
-
-
-def _joined(parts: list[LabelledObjects]) -> LabelledObjects:
-    names = ("frame", "label", "box", "height_px", "occlusion", "truncation", "score")
-    empty: dict[str, ndarray] = {
-        "frame": np.zeros(0, int), "label": np.zeros(0, object), "box": np.zeros((0, 7)), "occlusion": np.zeros(0, int),
-    }  # fmt: skip
-    if not parts:
-        return LabelledObjects(**{name: empty.get(name, np.zeros(0)) for name in names})
-    return LabelledObjects(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.base.plane import turned_by
+from cosim.base.plane import crossed, turned_by
 
 _BLOCK = 200_000
 """Pairs whose polygons are in memory together: a few hundred bytes each."""
@@ -24,12 +24,16 @@ def corners(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4 2"]:
     -------
     x and y of the corners, counter-clockwise: front left, rear left, rear right, front right.
     """
-    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    corner_m = half * box[:, None, 3:5]
+    ahead = np.array([0.5, -0.5, -0.5, 0.5])
+    left = np.array([0.5, 0.5, -0.5, -0.5])
+    corner_m = np.column_stack([ahead, left]) * box[:, None, 3:5]
     return turned_by(box[:, None, 6], corner_m) + box[:, None, :2]
 
 
-def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+def footprint_overlap(
+    a: Float[ndarray, "n 7"],
+    b: Float[ndarray, "n 7"],
+) -> Float[ndarray, "n"]:
     """Area common to the footprints of the two boxes in each row, by Sutherland and Hodgman (1974).
 
     Returns
@@ -43,7 +47,7 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
         start = clip[:, edge]
         along = clip[:, (edge + 1) % 4] - start
         following = np.roll(polygon, -1, axis=1)
-        side = _cross(along[:, None], polygon - start[:, None])
+        side = crossed(along[:, None], polygon - start[:, None])
         side_following = np.roll(side, -1, axis=1)
         crosses = (side >= 0) != (side_following >= 0)
         part = np.where(crosses, side / np.where(crosses, side - side_following, 1), 0)
@@ -56,17 +60,14 @@ def footprint_overlap(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Flo
         filled = np.take_along_axis(kept, first, axis=1)  # what is not filled repeats the first vertex
         polygon = np.where(filled[..., None], polygon, polygon[:, :1])
         polygon = np.where(filled[:, :1, None], polygon, 0)
-    twice_m2 = _cross(polygon, np.roll(polygon, -1, axis=1)).sum(axis=1)
+    twice_m2 = crossed(polygon, np.roll(polygon, -1, axis=1)).sum(axis=1)
     return np.abs(twice_m2) / 2
 
 
-def _cross(a: Float[ndarray, "n v 2"], b: Float[ndarray, "n v 2"]) -> Float[ndarray, "n v"]:
-    """Areas that pairs of vectors span, positive where b is to the left of a."""
-    (ax, ay), (bx, by) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return ax * by - ay * bx
-
-
-def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+def iou_bev(
+    a: Float[ndarray, "n 7"],
+    b: Float[ndarray, "n 7"],
+) -> Float[ndarray, "n"]:
     """Intersection over union of the footprints of the two boxes in each row, in [0, 1]."""
     common = footprint_overlap(a, b)
     area_a = a[:, 3] * a[:, 4]
@@ -74,7 +75,10 @@ def iou_bev(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray
     return common / (area_a + area_b - common)
 
 
-def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+def iou_3d(
+    a: Float[ndarray, "n 7"],
+    b: Float[ndarray, "n 7"],
+) -> Float[ndarray, "n"]:
     """Intersection over union of the volumes of the two boxes in each row, in [0, 1]."""
     z_a, z_b = a[:, 2], b[:, 2]
     half_a = a[:, 5] / 2
@@ -88,7 +92,9 @@ def iou_3d(a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]) -> Float[ndarray,
 
 
 def in_blocks(
-    overlap: Callable[[ndarray, ndarray], ndarray], a: Float[ndarray, "n 7"], b: Float[ndarray, "n 7"]
+    overlap: Callable[[ndarray, ndarray], ndarray],
+    a: Float[ndarray, "n 7"],
+    b: Float[ndarray, "n 7"],
 ) -> Float[ndarray, "n"]:
     """An overlap of many pairs, in memory that does not grow with them."""
     found = [np.zeros(0)]

@@ -53,10 +53,13 @@ class RecordedBoxes:
     score: Float[ndarray, "n"]
 
     @staticmethod
-    def of(rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]]) -> "RecordedBoxes":
+    def of(
+        rows: Sequence[tuple[int, int, str, Float[ndarray, "7"], float]],
+    ) -> "RecordedBoxes":
         """Of rows (frame, agent, label, box, score) in any order; sorted by frame, then agent."""
         rows = sorted(rows, key=lambda row: row[:2])
-        frame, agent, label, box, score = zip(*rows, strict=True) if rows else ((),) * 5
+        columns = zip(*rows, strict=True) if rows else ((),) * 5
+        frame, agent, label, box, score = columns
         return RecordedBoxes(
             frame=np.array(frame, np.int64),
             agent=np.array(agent, np.int64),
@@ -270,7 +273,9 @@ def array_of(path: Path, shape: tuple[int | None, ...]) -> Float[ndarray, "..."]
 
 def _has_shape(found: Any, shape: tuple[int | None, ...]) -> bool:
     """Whether something is an array of numbers of this shape."""
-    if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu" or found.ndim != len(shape):
+    if not isinstance(found, np.ndarray):
+        return False
+    if found.dtype.kind not in "fiu" or found.ndim != len(shape):
         return False
     for n, wanted in zip(found.shape, shape, strict=True):
         if n > MOST_BOXES if wanted is None else n != wanted:
@@ -305,7 +310,8 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
     ahead = middle(0, 1, 4, 5) - middle(2, 3, 6, 7)
     aside = middle(1, 2, 5, 6) - middle(0, 3, 4, 7)
     up = middle(4, 5, 6, 7) - middle(0, 1, 2, 3)
-    size_m = np.column_stack([np.linalg.norm(side, axis=1) for side in (ahead, aside, up)])
+    lengths_m = [np.linalg.norm(side, axis=1) for side in (ahead, aside, up)]
+    size_m = np.column_stack(lengths_m)
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
     box = np.column_stack([corner.mean(axis=1), size_m, yaw])
     is_off = _off(corner, box) > 0.02 * np.linalg.norm(size_m, axis=1) + 0.02
@@ -320,7 +326,10 @@ def box_of_corners(corner: Float[ndarray, "n 8 3"], path: Path) -> Float[ndarray
     return box
 
 
-def _off(corner: Float[ndarray, "n 8 3"], box: Float[ndarray, "n 7"]) -> Float[ndarray, "n"]:
+def _off(
+    corner: Float[ndarray, "n 8 3"],
+    box: Float[ndarray, "n 7"],
+) -> Float[ndarray, "n"]:
     """Largest distance from a corner of a box to the nearest of the given ones [m]."""
     between = corners_of(box)[:, :, None] - corner[:, None]
     apart_m = np.linalg.norm(between, axis=3)
@@ -343,10 +352,14 @@ def _in_any_order(corner: Float[ndarray, "8 3"]) -> Float[ndarray, "7"]:
     return np.array([*corner.mean(axis=0), length, width, height, yaw_rad])
 
 
-def moved(box: Float[ndarray, "n 7"], world_from_agent: Float[ndarray, "4 4"]) -> Float[ndarray, "n 7"]:
+def moved(
+    box: Float[ndarray, "n 7"],
+    world_from_agent: Float[ndarray, "4 4"],
+) -> Float[ndarray, "n 7"]:
     """Boxes of an agent's frame in the world; the boxes stay upright."""
     turn, yaw = world_from_agent[:3, :3], box[:, 6]
-    forward = np.column_stack([np.cos(yaw), np.sin(yaw), np.zeros(len(box))])
+    level = np.zeros(len(box))
+    forward = np.column_stack([np.cos(yaw), np.sin(yaw), level])
     heading = forward @ turn.T
     out = box.copy()
     turned = box[:, :3] @ turn.T

@@ -76,7 +76,8 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     kinds = sorted(set(boxes.label.tolist()))
     label = np.array([kinds.index(name) for name in boxes.label], np.uint8)
     model = TruPercept(PARAMS, 1.0)
-    parts, unread, why_unread = [], 0, ""
+    chosen, scores = [np.zeros(0, int)], [np.zeros(0)]
+    unread, why_unread = 0, ""
     present = dict.fromkeys(numbers, 0)
     begin = np.searchsorted(boxes.frame, np.arange(len(data.frames) + 1))
     for frame, here in enumerate(cooperating):
@@ -98,31 +99,35 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
         everybody = np.arange(len(who))
         model.add_evaluations(ReceivedEvaluations(messages, np.full(len(who), SERVER), everybody, eta_of(PARAMS)))
         others = everybody[1:]
-        trust = np.full(len(others), PARAMS.default_trust)
+        trust_in: dict[int, float] = {}
         if known is not None:
-            at = dict(zip(known.subject.tolist(), known.trust.tolist(), strict=True))
-            trust = np.array([at.get(int(one), PARAMS.default_trust) for one in who[1:]])
+            trust_in = dict(zip(known.subject.tolist(), known.trust.tolist(), strict=True))
+        senders = who[1:].tolist()
+        trust = np.array([trust_in.get(sender, PARAMS.default_trust) for sender in senders])
         in_others = SenderTrust(np.array([0, len(others)]), others, trust)
         found = fuse(given, in_others, evidence, np.zeros(len(rows)), PARAMS)
-        parts.append((rows[found.seed], found.score))
+        chosen.append(rows[found.seed])
+        scores.append(found.score)
         for name in names:
             present[name] += 1
-    chosen = np.concatenate([np.zeros(0, int), *(rows for rows, _ in parts)])
+    rows = np.concatenate(chosen)
     fused = RecordedBoxes(
-        frame=boxes.frame[chosen],
-        agent=boxes.agent[chosen],
-        label=boxes.label[chosen],
-        box=boxes.box[chosen],
-        score=np.concatenate([np.zeros(0), *(score for _, score in parts)]),
+        frame=boxes.frame[rows],
+        agent=boxes.agent[rows],
+        label=boxes.label[rows],
+        box=boxes.box[rows],
+        score=np.concatenate(scores),
     )
     final = model.scores()
     of = {one: row for row, one in enumerate(final.subject.tolist())}
     lines = []
     for name, number in numbers.items():
-        n, trust_in = 0, np.nan
+        n, value = 0, np.nan
         if number in of:
-            n, trust_in = int(final.n_evaluations[of[number]]), float(final.trust[of[number]])
-        lines.append((name, present[name], n, trust_in))
+            row = of[number]
+            n = int(final.n_evaluations[row])
+            value = float(final.trust[row])
+        lines.append((name, present[name], n, value))
     table = pd.DataFrame(lines, columns=["agent", "n_frames", "n_evaluations", "trust"])
     return Trusted(table, fused, unread, why_unread)
 
@@ -153,7 +158,8 @@ class _Frame:
         table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
         agent = np.arange(len(here))
         member = np.argsort(message != agent[:, None], axis=1, kind="stable")
-        lists = ObjectLists(len(rows) * np.arange(len(here) + 1), member.ravel(), agent)
+        ptr = len(rows) * np.arange(len(here) + 1)
+        lists = ObjectLists(ptr, member.ravel(), agent)
         return _Frame(boxes.box[rows], table, lists)
 
     def evaluated(
@@ -161,19 +167,27 @@ class _Frame:
     ) -> tuple[FusionInput, SensorEvidence]:
         """What the ego fuses, and the evidence of its own cloud."""
         box = self.box
-        plain = geometry.Boxes(box[:, :3], box[:, 3:6], box[:, 6])
+        plain = geometry.Boxes(
+            box[:, :3],
+            box[:, 3:6],
+            box[:, 6],
+        )
         pairs = geometry.overlapping_pairs(plain, self.table.label, self.table.message)
         groups = match(self.lists, self.table, pairs, PARAMS)
-        inside = np.array([
-            points_in(cloud, moved(self.box, np.linalg.inv(motion)))
-            for cloud, motion in zip(clouds, world_from, strict=True)
-        ])  # fmt: skip
-        n_points = inside[self.lists.of_member(), self.lists.member]
-        made = evaluate(self.lists, groups, self.table, n_points, np.ones(len(n_points), bool), PARAMS)
-        n = int(self.lists.ptr[1])
-        ego = ObjectLists(self.lists.ptr[:2], self.lists.member[:n], self.lists.owner[:1])
+        in_agents = [moved(box, np.linalg.inv(motion)) for motion in world_from]
+        inside = np.array(list(map(points_in, clouds, in_agents)))
+        lists = self.lists
+        n_points = inside[lists.of_member(), lists.member]
+        is_asked = np.ones(len(n_points), bool)
+        made = evaluate(lists, groups, self.table, n_points, is_asked, PARAMS)
+        n = int(lists.ptr[1])
+        ego = ObjectLists(
+            lists.ptr[:2],
+            lists.member[:n],
+            lists.owner[:1],
+        )
         of_ego = match(ego, self.table, pairs, PARAMS)
         seeds = ego.member[of_ego.seeds()]
         every = np.ones(len(seeds), bool)
         evidence = SensorEvidence(inside[0, seeds], every, every)
-        return FusionInput(ego, of_ego, self.table, self.lists, made, made), evidence
+        return FusionInput(ego, of_ego, self.table, lists, made, made), evidence
