@@ -6,7 +6,7 @@ each file from the `Moment` of a step. The exporters are in `cosim.addons.export
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy import ndarray
 
 from cosim.base.earth import Projection
 from cosim.base.plane import turned_by
+from cosim.base.ragged import differs_from_last
 from results.run import Run
 from results.sensing import senses
 
@@ -107,6 +108,18 @@ class Moment:
         is_here = at < len(self.actor) and self.actor[at] == actor
         assert is_here, f"actor {actor} is not on the road"
         return at
+
+
+def units_of_steps(
+    blocks: Iterable[Int[ndarray, "b"]],
+    files: Callable[..., Iterator[File]],
+) -> list[Unit]:
+    """A unit of work for each block of steps, whose files are `files(steps, clouds)`."""
+    units = []
+    for steps in blocks:
+        name = f"steps {steps[0]} to {steps[-1]}"
+        units.append(Unit(name, partial(files, steps)))
+    return units
 
 
 def _no_projection() -> Projection:
@@ -230,8 +243,8 @@ class Selection:
                 step=int(cast(int, step)),
                 actor=rows.actor.to_numpy(np.int64),
                 vehicle_class=rows.vehicle_class.astype(object).to_numpy(),
-                box=rows[BOX].to_numpy(np.float64),
-                speed_mps=rows.speed_mps.to_numpy(np.float64),
+                box=rows[BOX].to_numpy(float),
+                speed_mps=rows.speed_mps.to_numpy(float),
                 detections={},
                 visible={},
             )
@@ -242,7 +255,7 @@ class Selection:
             return {}
         chosen = pc.field("vehicle").isin(list(self.vehicles))
         rows = self.run.table("position_errors", where=where & chosen)
-        error = rows[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(np.float64)
+        error = rows[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float)
         found: dict[int, dict[int, ndarray]] = {}
         for step, vehicle, of_vehicle in zip(rows.step.tolist(), rows.vehicle.tolist(), error, strict=True):
             found.setdefault(step, {})[vehicle] = of_vehicle
@@ -273,8 +286,7 @@ def _visible(rows: pd.DataFrame) -> dict[int, dict[int, Visible]]:
     step = rows.step.to_numpy(np.int64)
     observer = rows.observer.to_numpy(np.int64)
     columns = [rows[name].to_numpy(np.int64) for name in ("actor", "n_points", "n_unoccluded")]
-    is_other_step = np.diff(step, prepend=-1) != 0
-    begins = np.flatnonzero(is_other_step | (np.diff(observer, prepend=-1) != 0))
+    begins = np.flatnonzero(differs_from_last(step) | differs_from_last(observer))
     ends = np.append(begins, len(step))[1:]  # none of an empty table, which has no `begins`
     found: dict[int, dict[int, Visible]] = {}
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):

@@ -44,7 +44,7 @@ def _encounters(run: Run) -> pd.DataFrame:
     frame = encounters.durations(run)
     seen = frame.assign(group=encounters.named(frame))[frame.start_seen.to_numpy()]
     ended = seen.end_seen.to_numpy(bool)
-    found = pd.DataFrame({"group": seen.group.to_numpy(), "value_s": seen.duration_s.to_numpy(np.float64)})
+    found = pd.DataFrame({"group": seen.group.to_numpy(), "value_s": seen.duration_s.to_numpy(float)})
     found = found.assign(n=ended.astype(np.int64), n_open=(~ended).astype(np.int64))
     return found.groupby(["group", "value_s"], as_index=False).sum().assign(what=ENCOUNTERS)
 
@@ -65,9 +65,9 @@ def survival(frame: pd.DataFrame, at_s: Float[ndarray, "k"]) -> Float[ndarray, "
     NaN after the last observation, where nothing is known.
     """
     ordered = frame.groupby("value_s")[["n", "n_open"]].sum().sort_index()
-    value_s = ordered.index.to_numpy(np.float64)
-    n = ordered.n.to_numpy(np.float64)
-    n_open = ordered.n_open.to_numpy(np.float64)
+    value_s = ordered.index.to_numpy(float)
+    n = ordered.n.to_numpy(float)
+    n_open = ordered.n_open.to_numpy(float)
     at_risk = np.cumsum((n + n_open)[::-1])[::-1]
     share = np.append(1.0, np.cumprod(1 - n / np.maximum(at_risk, 1.0)))
     found: ndarray = share[np.searchsorted(value_s, at_s, "right")]

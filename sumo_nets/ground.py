@@ -12,6 +12,7 @@ import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.ragged import owner_of_rows
 from sumo_nets.footprints import Footprint
 from sumo_nets.heights import CLEARANCE_M
 from sumo_nets.levels import crossings, is_bridge
@@ -85,7 +86,7 @@ def sampled(
     length_m = np.hypot(*(end - begin)[:, :2].T)
     step_m = max(step_m, float(length_m.sum()) / _MOST_SAMPLES)
     n_parts = np.maximum(np.ceil(length_m / step_m).astype(int), 1)
-    row = np.repeat(np.arange(len(begin)), n_parts)
+    row = owner_of_rows(n_parts)
     first = np.cumsum(n_parts) - n_parts
     part = np.arange(len(row)) - first[row] + 0.5
     share = (part / n_parts[row])[:, None]

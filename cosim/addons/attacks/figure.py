@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from results.figures import style
 from results.metrics import trust
@@ -31,11 +30,12 @@ def draw(runs: Sequence[Run]) -> Figure:
     for i in style.draw_each(variants, lambda i, run: _panel(panels[i], run)):
         panels[i].text(0.5, 0.5, "no trust values", ha="center", va="center", transform=panels[i].transAxes)
     for i, (axes, title) in enumerate(zip(panels, titles, strict=True)):
-        is_last, is_first = i >= len(variants) - columns, i % columns == 0
+        is_last = i >= len(variants) - columns
+        is_first = i % columns == 0
         style.panel(axes, title, style.TIME if is_last else "", "Trust (median)" if is_first else "")
         axes.tick_params(labelleft=is_first)
-    entries = [Line2D([], [], color=style.ROLE_INKS[_HONEST], label=_HONEST)]
-    entries += [Line2D([], [], label=name, **_look(i)) for i, name in names.items()]
+    entries = [style.entry(_HONEST, color=style.ROLE_INKS[_HONEST])]
+    entries += [style.entry(name, **_look(i)) for i, name in names.items()]
     style.legend(figure, entries)
     return figure
 
@@ -57,11 +57,16 @@ def labels(run: Run) -> dict[int, str]:
             found[owner] += f" with {section['attack']}"
             continue
         alike = [other for other in sections if other["attack"] == section["attack"]]
-        keys = [key for key in section if key != "ids" and any(o.get(key) != section[key] for o in alike)]
-        text = ", ".join(f"{key} {_plain(section[key])}" for key in keys)
-        found[number] = f"{section['attack']}, {text}" if text else str(section["attack"])
+        words = [section["attack"]]
+        for key, value in section.items():
+            if key != "ids" and any(other.get(key) != value for other in alike):
+                words.append(f"{key} {_plain(value)}")
+        found[number] = ", ".join(words)
     names = list(found.values())
-    return {i: f"{i}: {name}" if names.count(name) > 1 else name for i, name in found.items()}
+    for i, name in found.items():
+        if names.count(name) > 1:
+            found[i] = f"{i}: {name}"
+    return found
 
 
 def over_time(run: Run) -> pd.DataFrame:
@@ -83,7 +88,8 @@ def _panel(axes: Axes, run: Run) -> None:
         axes.plot(one.time_s, one["median"], marker="o" if len(one) == 1 else "", **look)
     starts = run.vehicles.attack_start_step.dropna()
     if len(starts):
-        axes.axvline(float(starts.min()) * run.dt_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
+        begin_s = float(starts.min()) * run.dt_s
+        axes.axvline(begin_s, color="#444444", linewidth=0.8, linestyle=(0, (2, 2)))
     style.share_axis(axes)
     axes.set_xlim(left=0)
 

@@ -14,7 +14,7 @@ from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
 from cosim.attacks.disguise import ghosts
 from cosim.attacks.ghost_insertion import CAR
 from cosim.attacks.past import of_earlier_messages
-from cosim.base.ragged import offsets
+from cosim.base.ragged import differs_from_last, offsets
 from cosim.messages.content import FABRICATED, SELF, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
@@ -69,7 +69,8 @@ class ApproachingGhost(Vouched[ApproachingGhostParams]):
 
 def ground_m(world: World, row: Int[ndarray, "k"]) -> Float[ndarray, "k"]:
     """Height of the road below actors."""
-    return world.boxes.xyz_m[row, 2] - world.boxes.lwh_m[row, 2] / 2
+    boxes = world.boxes
+    return boxes.xyz_m[row, 2] - boxes.lwh_m[row, 2] / 2
 
 
 CAR_LWH_M = (4.5, 2.0, 1.6)
@@ -135,7 +136,8 @@ class GhostInShadow(Vouched[GhostInShadowParams]):
         at = finds * n_places + hidden[finds].argmax(axis=1)
         lwh = np.tile(CAR_LWH_M, (len(at), 1))
         label = np.full(len(at), CAR, np.uint8)
-        return ghosts(listed, row[at], label, Boxes(xyz[at], lwh, yaw[at]), context)
+        boxes = Boxes(xyz[at], lwh, yaw[at])
+        return ghosts(listed, row[at], label, boxes, context)
 
     def _hidden(
         self, context: AttackContext, row: Int[ndarray, "c"], xyz_m: Float[ndarray, "c 3"]
@@ -208,14 +210,15 @@ class Replay(Vouched[ReplayParams]):
         now = listed.take(received)
         earlier = [of for of in past if len(of[1])]
         sender = now.observer
-        past.append((context.time_s, now, world.actor[sender], world.name_key[sender], xy[sender]))
+        names = world.actor[sender], world.name_key[sender]
+        past.append((context.time_s, now, *names, xy[sender]))
         attackers = np.flatnonzero(context.attacker)
         if not len(attackers) or not earlier:
             return listed
         lists = [of[1] for of in earlier]
         _, _, *columns = zip(*earlier, strict=True)
         by, name_key, from_xy = map(np.concatenate, columns)
-        begins = np.append(True, by[1:] != by[:-1])
+        begins = differs_from_last(by)
         n_of_step = np.array([len(said) for said in lists])
         begins[offsets(n_of_step)[:-1]] = True  # also where the next step begins
         begin = np.flatnonzero(begins)  # of each message, the oldest ones first
@@ -233,7 +236,8 @@ class Replay(Vouched[ReplayParams]):
         has = np.repeat(np.flatnonzero(n_near), p.n_objects)
         draws = context.uniforms(context.name_key(attackers), n=2 * p.n_objects)
         of_sender, of_object = np.hsplit(draws[n_near > 0], 2)
-        chosen = sender[np.searchsorted(a, has) + _scaled(of_sender.ravel(), n_near[has])]
+        nth = _scaled(of_sender.ravel(), n_near[has])
+        chosen = sender[np.searchsorted(a, has) + nth]
         source = first[chosen] + _scaled(of_object.ravel(), count[chosen])
         pair = has * np.int64(len(by)) + source
         _, once = np.unique(pair, return_index=True)
@@ -262,7 +266,10 @@ def _rows_of(parts: Sequence[Detections], rows: Int[ndarray, "k"]) -> Detections
     return Detections.concat(found).take(np.argsort(order, kind="stable"))
 
 
-def _scaled(draw: Float[ndarray, "n"], below: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def _scaled(
+    draw: Float[ndarray, "n"],
+    below: Int[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     """Integers from 0 to `below` - 1 from uniforms in [0, 1)."""
     return np.minimum((draw * below).astype(np.int64), below - 1)
 

@@ -58,13 +58,14 @@ class Policy:
     @property
     def words(self) -> str:
         """The policy in words."""
-        lies = "tells the truth" if self.attack == HONEST else (
-            f"{self.attack} in {self.lie_p:.0%} of every {self.period_s:.0f} s"
-        )  # fmt: skip
+        lies = f"{self.attack} in {self.lie_p:.0%} of every {self.period_s:.0f} s"
+        if self.attack == HONEST:
+            lies = "tells the truth"
         denies = f", denies {self.deny_p:.0%} of the honest" if self.deny_p > 0 else ""
         sleeps = f", from {self.sleep_s:.0f} s on" if self.sleep_s >= 1 else ""
         praises = ", praises accomplices" if self.praises else ""
-        return lies + denies + praises + (" in disguise" if self.disguised and (denies or praises) else "") + sleeps
+        disguise = " in disguise" if self.disguised and (denies or praises) else ""
+        return lies + denies + praises + disguise + sleeps
 
     def lies(self, step: Int[ndarray, "n"], rules: EvidenceRules) -> Bool[ndarray, "n"]:
         """Whether attackers send false detections in these steps."""
@@ -80,7 +81,13 @@ def _policy(x: Float[ndarray, "7"], attacks: Sequence[str]) -> Policy:
     """The policy of a point of the search."""
     attack, lie_p, period_s, sleep_s, deny_p, praises, disguised = x.tolist()
     return Policy(
-        attacks[round(attack)], lie_p, period_s, sleep_s, deny_p, bool(round(praises)), bool(round(disguised))
+        attacks[round(attack)],
+        lie_p,
+        period_s,
+        sleep_s,
+        deny_p,
+        bool(round(praises)),
+        bool(round(disguised)),
     )
 
 
@@ -115,38 +122,41 @@ class AdaptedEvidence:
                 """Whether each row is of a pseudonym that attacks in a step in which the policy lies."""
                 lie = []
                 for one, when in who.items():
-                    lie.append(attacks[rows[one]] & policy.lies(rows[when], rules))
+                    lies = policy.lies(rows[when], rules)
+                    lie.append(attacks[rows[one]] & lies)
                 return np.any(lie, axis=0)
 
             plain, false = getattr(self.honest, name), getattr(self.attacked, name)
             return [taken(plain, ~attacked(plain)), taken(false, attacked(false))]
 
-        evaluations = _union("evaluations", chosen("evaluations", observer="detection_step", evaluator="step"))
+        plain = chosen("evaluations", observer="detection_step", evaluator="step")
+        evaluations = dict(_union("evaluations", plain))
         by, of, step, said = (evaluations[c] for c in ("evaluator", "observer", "step", "detection_step"))
         active = attacks[by] & (step >= awake)
         falsified = active & ~attacks[of] & self._denied(of, policy)
         praised = active & attacks[of] & policy.praises
         is_false = praised & policy.lies(said, rules)
-        evaluations = {
-            **evaluations, "evaluation": np.where(is_false, 100, evaluations["evaluation"]),
-            "visibility": np.where(is_false, 100, evaluations["visibility"]),
-        }  # fmt: skip
+        for name in ("evaluation", "visibility"):
+            evaluations[name] = np.where(is_false, 100, evaluations[name])
         told = self.colluding.evaluations
-        wanted = attacks[told["evaluator"]] & (told["step"] >= awake) & np.where(
-            attacks[told["observer"]], policy.praises & ~policy.lies(told["detection_step"], rules),
-            self._denied(told["observer"], policy),
-        )  # fmt: skip
+        praises = policy.praises & ~policy.lies(told["detection_step"], rules)
+        denies = self._denied(told["observer"], policy)
+        wanted = np.where(attacks[told["observer"]], praises, denies)
+        wanted &= attacks[told["evaluator"]] & (told["step"] >= awake)
         keeps = ~(falsified | (praised & ~is_false))
         false = [taken(told, wanted), taken(evaluations, is_false)]
         if policy.disguised:
             false = [self._disguised(rows) for rows in false]
-        evaluations = _union("evaluations", [*false, taken(evaluations, keeps & ~is_false)])
+        true = taken(evaluations, keeps & ~is_false)
         reports = [self.honest.reports, *chosen("reports", evaluator="step")[1:]]
         reports.append(taken(self.colluding.reports, attacks[self.colluding.reports["evaluator"]]))
         return EvidenceStream(
-            _union("detections", chosen("detections", observer="step")), _union("reports", reports), evaluations,
-            _union("lookups", chosen("lookups", sender="message_step")), self.attacked.pseudonyms,
-        )  # fmt: skip
+            _union("detections", chosen("detections", observer="step")),
+            _union("reports", reports),
+            _union("evaluations", [*false, true]),
+            _union("lookups", chosen("lookups", sender="message_step")),
+            self.attacked.pseudonyms,
+        )
 
     def _disguised(self, rows: Rows) -> Rows:
         """Falsified evaluations with values of honest ones of the same sign about others' objects, drawn per row."""
@@ -171,7 +181,9 @@ class AdaptedEvidence:
 
 def _union(name: str, parts: Sequence[Rows]) -> Rows:
     """Rows of several tables; of rows with the same key, the first."""
-    rows = {c: np.concatenate([part[c] for part in parts]) for c in TABLES[name].columns}
+    rows = {}
+    for column in TABLES[name].columns:
+        rows[column] = np.concatenate([part[column] for part in parts])
     _, first = np.unique(packed(name, rows), return_index=True)
     return merged(name, taken(rows, first))
 
@@ -242,11 +254,26 @@ class Search:
             self.advance(f"{self.candidate.name}: adversary", len(tried), budget, policy.words)
             return -harm
 
-        bounds = [(0, len(attacks) - 1), (0.05, 1.0), _PERIODS_S, _SLEEPS_S, (0.0, 1.0), (0, 1), (0, 1)]
+        bounds = [
+            (0, len(attacks) - 1),
+            (0.05, 1.0),
+            _PERIODS_S,
+            _SLEEPS_S,
+            (0.0, 1.0),
+            (0, 1),
+            (0, 1),
+        ]
         differential_evolution(
-            loss, bounds, init=first, maxiter=-(-budget // len(first)), tol=0.0, atol=0.0, polish=False, rng=seed,
+            loss,
+            bounds,
+            init=first,
+            maxiter=-(-budget // len(first)),
+            tol=0.0,
+            atol=0.0,
+            polish=False,
+            rng=seed,
             integrality=[True, False, False, False, False, True, True],
-        )  # fmt: skip
+        )
         _, policy = max(tried, key=lambda one: one[0])
         found = []
         for world in range(len(self.evidence.worlds)):
@@ -258,10 +285,15 @@ class Search:
         """The first policies: each attack on detections, in all messages, alone, with collusion, and with collusion in
         disguise; and true detections with collusion against all vehicles and against some."""
         collusion = ((0.0, 0), (1.0, 0), (1.0, 1))
-        begin = [(n, deny_p, hidden) for n in range(1, len(attacks)) for deny_p, hidden in collusion]
+        begin = []
+        for n in range(1, len(attacks)):
+            begin += [(n, deny_p, hidden) for deny_p, hidden in collusion]
         begin += [(0, 1.0, 0), (0, 0.6, 1), (0, 0.3, 0)]
         period_s = _PERIODS_S[1]
-        return np.array([[n, 1.0, period_s, 0.0, p, p > 0, hidden] for n, p, hidden in begin], float)
+        policies = []
+        for n, deny_p, hidden in begin:
+            policies.append([n, 1.0, period_s, 0.0, deny_p, deny_p > 0, hidden])
+        return np.array(policies, float)
 
     def _counts(self, world: int, policy: Policy, rules: EvidenceRules) -> Counts:
         def stream(case: str) -> EvidenceStream:

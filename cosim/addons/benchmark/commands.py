@@ -89,58 +89,87 @@ def _make(folder: Path | None, model: str | None) -> None:
 def _about(found: "EvidenceSet") -> str:
     rules = found.rules
     return (
-        f"evidence set {found.version}, sha256 {found.checksum[:16]}: {len(found.worlds)} worlds of "
-        f"{rules.n_steps * rules.dt_s:g} s, {len(rules.cases) - 1} attacks"
+        f"evidence set {found.version}, sha256 {found.checksum[:16]}: "
+        f"{len(found.worlds)} worlds of {rules.n_steps * rules.dt_s:g} s, {len(rules.cases) - 1} attacks"
     )
 
 
 def _of_attacks(row: dict[str, Any]) -> Iterator[Table | str]:
     """The figures of a model under each attack, worst first."""
     names = {
-        "auc": "AUC", "exclusion_s": "excluded after [s]", "wrong_p": "honest excluded", "believed_p": "believed",
-        "age_s": "age [s]", "harm": "harm",
-    }  # fmt: skip
+        "auc": "AUC",
+        "exclusion_s": "excluded after [s]",
+        "wrong_p": "honest excluded",
+        "believed_p": "believed",
+        "age_s": "age [s]",
+        "harm": "harm",
+    }
     worst = row["worst_case"]
     attacks = list(row["attacks"].items())
     if worst is not None:
         attacks.append((f"adapts ({worst['budget']} policies)", worst))
-    cells = [[attack, *(_cell(of[name]) for name in names)] for attack, of in attacks]
+    cells = []
+    for attack, of in attacks:
+        cells.append([attack, *(_cell(of[name]) for name in names)])
     yield from _fitted(row["model"], ["attack", *names.values()], cells)
     if worst is not None:
         yield f"worst case: {worst['words']}"
 
 
-def _of_models(rows: list[dict[str, Any]], mine: dict[str, Any] | None) -> Iterator[Table]:
+def _of_models(
+    rows: list[dict[str, Any]],
+    mine: dict[str, Any] | None,
+) -> Iterator[Table]:
     """One line per model, the best worst case first."""
     from cosim.addons.benchmark.table import ranked, summary, worst_attack
 
-    names = ["model", "worst AUC", "under", "mean AUC", "honest excluded", "believed", "age [s]", "us per evaluation",
-             "worst harm", "worst case: harm", "worst case: AUC"]  # fmt: skip
+    names = [
+        "model",
+        "worst AUC",
+        "under",
+        "mean AUC",
+        "honest excluded",
+        "believed",
+        "age [s]",
+        "us per evaluation",
+        "worst harm",
+        "worst case: harm",
+        "worst case: AUC",
+    ]
     cells = []
-    for row in ranked([*rows, *([] if mine is None else [mine])]):
+    for row in ranked(rows if mine is None else [*rows, mine]):
         of, worst, under = summary(row), row["worst_case"], worst_attack(row)
         means = (of["auc_mean"], of["wrong_worst"], of["believed_mean"], of["age_mean_s"])
         numbers = map(_number, (*means, row["cost_us"], of["harm_worst"]))
-        adapted = ("", "") if worst is None else (_cell(worst["harm"]), _cell(worst["auc"]))
+        adapted = ["", ""]
+        if worst is not None:
+            adapted = [_cell(worst["harm"]), _cell(worst["auc"])]
         auc = _cell(row["attacks"][under]["auc"])
         cells.append([row["model"], auc, under, *numbers, *adapted])
     return _fitted("all models", names, cells, "" if mine is None else mine["model"])
 
 
-def _fitted(title: str, names: Sequence[str], rows: Sequence[Sequence[str]], bold: str = "") -> Iterator[Table]:
+def _fitted(
+    title: str,
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    bold: str = "",
+) -> Iterator[Table]:
     """Tables of columns as wide as the screen allows: each begins with the first column, and none is cut."""
-    widths = [max(map(len, column)) + 3 for column in zip(names, *rows, strict=True)]
+    texts = zip(names, *rows, strict=True)
+    widths = [max(map(len, column)) + 3 for column in texts]
     columns: list[list[int]] = [[]]
     for i in range(1, len(names)):
-        width = sum(widths[k] for k in (0, *columns[-1], i)) + 2
+        beside = (0, *columns[-1], i)
+        width = sum(widths[k] for k in beside) + 2
         if columns[-1] and width > screen.width:
             columns.append([])
         columns[-1].append(i)
     for n, chosen in enumerate(columns):
-        head = [Column(names[i], justify="left" if names[i] == "under" else "right") for i in chosen]
-        table = Table(
-            Column(names[0], no_wrap=True), *head, box=SIMPLE, title=None if n else title, title_justify="left"
-        )
+        head = [Column(names[0], no_wrap=True)]
+        for i in chosen:
+            head.append(Column(names[i], justify="left" if names[i] == "under" else "right"))
+        table = Table(*head, box=SIMPLE, title=None if n else title, title_justify="left")
         for row in rows:
             shown = [row[i] for i in (0, *chosen)]
             table.add_row(*shown, style="bold" if row[0] == bold else None)

@@ -281,7 +281,9 @@ def merged(name: str, rows: Rows) -> Rows:
         fits = (values >= 0) & (values < most)
         assert fits.all(), f"{name}.{c} has more than {most} values"
     order = np.argsort(packed(name, rows), kind="stable")
-    return {c: rows[c][order].astype(dtype) for c, dtype in TABLES[name].dtypes.items()}
+    ordered = taken(rows, order)
+    dtypes = TABLES[name].dtypes
+    return {column: ordered[column].astype(dtype) for column, dtype in dtypes.items()}
 
 
 def taken(rows: Rows, chosen: Int[ndarray, "k"] | Bool[ndarray, "n"]) -> Rows:
@@ -300,13 +302,14 @@ def difference(name: str, base: Rows, case: Rows) -> Rows:
     at = np.minimum(np.searchsorted(old, new), max(len(old) - 1, 0))
     same = np.isin(new, old)
     for column in TABLES[name].columns:
-        was, now = base[column][at[same]], case[column][same]
-        same[same] = was == now
+        was = base[column][at[same]]
+        same[same] = was == case[column][same]
     came, gone = ~same, ~np.isin(old, new)
     changed = {c: case[c][came] for c in TABLES[name].columns}
     rows = joined([changed, taken(base, gone)])
     order = np.argsort(packed(name, rows), kind="stable")
-    flag = np.array([0, 1], np.int8).repeat([came.sum(), gone.sum()])
+    n_rows = [came.sum(), gone.sum()]
+    flag = np.array([0, 1], np.int8).repeat(n_rows)
     return {"gone": flag[order], **taken(rows, order)}
 
 
@@ -376,7 +379,9 @@ _MOST_NUMBERS = 1 << 7
 def _rules(about: Any) -> EvidenceRules:
     """The rules in a manifest; ValueError if one cannot be."""
     cases = about["cases"]
-    if not isinstance(cases, list) or not all(isinstance(name, str) and name for name in cases):
+    if not isinstance(cases, list):
+        raise ValueError("cases should be names of attacks")
+    if not all(isinstance(name, str) and name for name in cases):
         raise ValueError("cases should be names of attacks")
     are_different = len(set(cases)) == len(cases)
     if cases[:1] != [HONEST] or not are_different or len(cases) > _MOST_NUMBERS:
@@ -385,7 +390,8 @@ def _rules(about: Any) -> EvidenceRules:
         value = about[name]
         is_number = isinstance(value, kind) and not isinstance(value, bool)
         if not is_number or not least <= value <= most:
-            raise ValueError(f"{name} = {str(value)[:40]!r} should be a number from {least:g} to {most:g}")
+            said = str(value)[:40]
+            raise ValueError(f"{name} = {said!r} should be a number from {least:g} to {most:g}")
     return EvidenceRules(**{**about, "cases": tuple(cases)})
 
 
@@ -475,5 +481,5 @@ def _refuse(name: str, rows: Rows, wrong: Bool[ndarray, "n"], why: str) -> None:
     """ValueError about the first row that is wrong, if there is one."""
     if wrong.any():
         row = int(np.argmax(wrong))
-        said = ", ".join(f"{column} {values[row]}" for column, values in rows.items())
-        raise ValueError(f"{name} has a row with {said}: {why}")
+        said = [f"{column} {values[row]}" for column, values in rows.items()]
+        raise ValueError(f"{name} has a row with {', '.join(said)}: {why}")

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.benchmark.evidence import EvidenceRules, EvidenceStream, Rows
+from cosim.base.ragged import ptr_of
 from cosim.config.config import resolve_data
 from cosim.config.data import override
 from cosim.messages.trust_hosts import Variant
@@ -139,10 +140,10 @@ def _received(
 def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:
     """The detections of each step, and the pseudonyms of who sends or evaluates them."""
     rows, evaluations, found = stream.detections, stream.evaluations, []
-    begins = np.searchsorted(rows["step"], np.arange(rules.n_steps + 1))
+    begins = ptr_of(rows["step"], rules.n_steps)
     order = np.argsort(evaluations["detection_step"], kind="stable")
     evaluators = evaluations["evaluator"][order]
-    of = np.searchsorted(evaluations["detection_step"][order], np.arange(rules.n_steps + 1))
+    of = ptr_of(evaluations["detection_step"][order], rules.n_steps)
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
         observer = rows["observer"][here]

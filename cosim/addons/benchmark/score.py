@@ -80,8 +80,10 @@ def counts(
         Whether each looked-up message has false detections if its sender attacks.
     """
     asked, attacks = stream.lookups, stream.attackers()
-    counted = np.flatnonzero(~attacks[asked["receiver"]] & (asked["step"] >= rules.start_step))
-    step, sender = (asked[name][counted].astype(np.int64) for name in ("step", "sender"))
+    is_late = asked["step"] >= rules.start_step
+    counted = np.flatnonzero(~attacks[asked["receiver"]] & is_late)
+    step = asked["step"][counted].astype(np.int64)
+    sender = asked["sender"][counted].astype(np.int64)
     trust, age_s = answers.trust[counted], answers.age_s[counted]
     rated, is_attacker = ~np.isnan(trust), attacks[sender]
     lies = is_attacker & lying[counted]
@@ -93,7 +95,12 @@ def counts(
     steps, of = np.unique((step << 16 | sender)[~is_attacker], return_inverse=True)
     n_excluded = np.bincount(of, excluded[~is_attacker], len(steps))
     share = n_excluded / np.bincount(of, minlength=len(steps))
-    delay_s, found = _delays(step[is_attacker], sender[is_attacker], excluded[is_attacker], rules.dt_s)
+    delay_s, found = _delays(
+        step[is_attacker],
+        sender[is_attacker],
+        excluded[is_attacker],
+        rules.dt_s,
+    )
     return Counts(
         above=float(above),
         pairs=float(len(honest) * len(other)),
@@ -123,7 +130,9 @@ def _delays(step: ndarray, sender: ndarray, excluded: ndarray, dt_s: float) -> t
 
 def figures(of_worlds: list[Counts]) -> Figures:
     """The figures of an attack from the counts of all worlds."""
-    column = {name: np.array([getattr(one, name) for one in of_worlds]) for name in Counts.__slots__[:-2]}
+    column = {}
+    for name in Counts.__slots__[:-2]:
+        column[name] = np.array([getattr(one, name) for one in of_worlds])
     delays = [np.concatenate([getattr(one, name) for one in of_worlds]) for name in ("delay_s", "found")]
     curve = kaplan_meier(*delays)
     n = len(delays[0])
@@ -207,7 +216,11 @@ def score(evidence: EvidenceSet, candidate: Candidate, advance: Advance) -> Mode
         found[name] = figures(of_worlds)
     quiet_p = found.pop(HONEST).wrong_p.value
     auc = {name: of.auc.value for name, of in found.items()}
-    ordered = {name: found[name] for name in sorted(auc, key=lambda name: (np.isfinite(auc[name]), auc[name]))}
+
+    def place(name: str) -> tuple[bool, float]:
+        return bool(np.isfinite(auc[name])), auc[name]
+
+    ordered = {name: found[name] for name in sorted(auc, key=place)}
     cost_s = sum(one.cost_s for one in played)
     n_evaluations = sum(one.n_evaluations for one in played)
     cost_us = 1e6 * cost_s / max(n_evaluations, 1)

@@ -62,7 +62,9 @@ def counts(compared: Sequence[ComparedFact]) -> dict[str, int]:
 def summary(compared: Sequence[ComparedFact]) -> str:
     """One sentence with the counts."""
     fitted = sum(one.verdict == "agrees" and one.fact.judges == "fitted" for one in compared)
-    words = [f"{n} {_WORDS.get(verdict, verdict)}" for verdict, n in counts(compared).items()]
+    words = []
+    for verdict, n in counts(compared).items():
+        words.append(f"{n} {_WORDS.get(verdict, verdict)}")
     sources = len({one.fact.source.split(",")[0] for one in compared})
     return (
         f"{len(compared)} facts of {sources} sources: {', '.join(words)}. Of those that agree, {fitted} are values to "
@@ -70,17 +72,18 @@ def summary(compared: Sequence[ComparedFact]) -> str:
     )
 
 
-_WORDS = {"agrees": "agree", "differs": "differ", "undecided": "are undecided", "cannot be set": "cannot be set"}
+_WORDS = {"agrees": "agree", "differs": "differ", "undecided": "are undecided"}
 
 
 def lost(compared: Sequence[ComparedFact]) -> list[str]:
     """A line for each agreement that is stated and lost."""
-    return [
-        f"{one.fact.id}: stated to agree, {one.verdict}: {_ours(one)}, published {_published(one.fact)}. "
-        + (one.problem or one.fact.source)
-        for one in compared
-        if one.is_lost
-    ]
+    lines = []
+    for one in compared:
+        if one.is_lost:
+            values = f"{_ours(one)}, published {_published(one.fact)}"
+            reason = one.problem or one.fact.source
+            lines.append(f"{one.fact.id}: stated to agree, {one.verdict}: {values}. {reason}")
+    return lines
 
 
 def gained(compared: Sequence[ComparedFact]) -> list[str]:
@@ -103,7 +106,12 @@ def _record(one: ComparedFact) -> dict[str, Any]:
     record: dict[str, Any] = {name: getattr(fact, name) for name in names}
     record |= {"at": list(fact.at), "published": list(fact.value), "uncertainty": list(fact.uncertainty)}
     if ours is not None:
-        record |= {name: _plain(getattr(ours, name)) for name in ("value", "low", "high")} | {"n": ours.n}
+        record |= {
+            "value": _plain(ours.value),
+            "low": _plain(ours.low),
+            "high": _plain(ours.high),
+            "n": ours.n,
+        }
     return record | {"problem": one.problem, "unlike": list(one.unlike), "stated": fact.verdict, "verdict": one.verdict}
 
 
@@ -132,17 +140,22 @@ def _page(compared: Sequence[ComparedFact], runs: Runs) -> str:
     for group in dict.fromkeys(one.fact.group for one in compared):
         mine = [one for one in compared if one.fact.group == group]
         parts.append(f"<h2>{escape(group)}</h2>")
-        if shown := [one for one in mine if one.ours is not None]:
-            url = style.data_url(pictures.draw([_panel(one, one.ours) for one in shown if one.ours]))
+        if panels := [_panel(one, one.ours) for one in mine if one.ours is not None]:
+            url = style.data_url(pictures.draw(panels))
             parts.append(f'<img src="{url}" style="max-width:560px" alt="published values and those of cosim">')
         head = "".join(f"<th>{name}</th>" for name in COLUMNS)
-        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells(one))}</tr>" for one in mine)
+        rows = "".join(map(_row, mine))
         parts.append(f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>')
         parts += [_details(one) for one in mine]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Beside measurements</title>'
         f"<style>{STYLE}</style></head>\n<body>\n" + "\n".join(parts) + "\n</body></html>"
     )
+
+
+def _row(one: ComparedFact) -> str:
+    texts = "".join(f"<td>{escape(cell)}</td>" for cell in cells(one))
+    return f"<tr>{texts}</tr>"
 
 
 _WHAT = (
@@ -157,20 +170,38 @@ def _details(one: ComparedFact) -> str:
     fact = one.fact
     places = ", ".join(at for at in fact.at if at)
     said = {
-        "Values": places, "Source": fact.source, "Conditions": fact.conditions, "Band": fact.uncertainty_why,
-        "Ours": fact.how, "Replicates": str(one.ours.n) if one.ours is not None and fact.runs else "",
+        "Values": places,
+        "Source": fact.source,
+        "Conditions": fact.conditions,
+        "Band": fact.uncertainty_why,
+        "Ours": fact.how,
+        "Replicates": str(one.ours.n) if one.ours is not None and fact.runs else "",
         "Fitted": "a model was fitted to these values" if fact.judges == "fitted" else "",
-        "But your runs have": "; ".join(one.unlike), "Stated": fact.verdict, "Reason": fact.reason,
+        "But your runs have": "; ".join(one.unlike),
+        "Stated": fact.verdict,
+        "Reason": fact.reason,
         "Not computed": one.problem,
-    }  # fmt: skip
-    lines = "".join(f"<li><b>{name}</b>: {escape(text)}</li>" for name, text in said.items() if text)
+    }
+    lines = ""
+    for name, text in said.items():
+        if text:
+            lines += f"<li><b>{name}</b>: {escape(text)}</li>"
     return f"<details><summary>{escape(fact.id)}: {one.verdict}</summary><ul>{lines}</ul></details>"
 
 
 def _panel(one: ComparedFact, ours: Measured) -> pictures.Panel:
     fact = one.fact
     return pictures.Panel(
-        fact.id, fact.unit, fact.at, fact.value, fact.low, fact.high, ours.value, ours.low, ours.high, one.verdict
+        fact.id,
+        fact.unit,
+        fact.at,
+        fact.value,
+        fact.low,
+        fact.high,
+        ours.value,
+        ours.low,
+        ours.high,
+        one.verdict,
     )
 
 

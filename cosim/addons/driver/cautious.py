@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from cosim.addons.driver.lane_path import ahead_on_path
 from cosim.base import rng
-from cosim.base.ragged import expand
+from cosim.base.ragged import differs_from_last, expand
 from cosim.base.rows import Rows
 from cosim.traffic.driver import Beliefs, Reasons, SpeedCommands
 from cosim.world import LABELS, LanePaths, World
@@ -235,7 +235,7 @@ class Cautious:
         must = np.flatnonzero(due & (wanted < speed + _ACCELERATION_MPS2 * dt_s))
         watched, wanted, gap_m = watched.take(must), wanted[must], gap_m[must]
         order = np.lexsort((watched.source_index, watched.source, wanted, watched.ego))
-        lowest = order[np.diff(watched.ego[order], prepend=-1) > 0]  # of each vehicle
+        lowest = order[differs_from_last(watched.ego[order])]  # of each vehicle
         cause = watched.take(lowest)
         reasons = Reasons(cause.source_step, cause.source, cause.source_index, gap_m[lowest])
         return SpeedCommands(cause.ego, wanted[lowest], reasons)
@@ -295,7 +295,7 @@ def _continued(watched: Believed, found: Believed) -> Believed:
     pairs = np.flatnonzero(same)
     keys = old, ~again, away_m, new
     order = pairs[np.lexsort([key[pairs] for key in keys])]
-    nearest = order[np.diff(new[order], prepend=-1) > 0]
+    nearest = order[differs_from_last(new[order])]
     new, old, again = new[nearest], old[nearest], again[nearest]
     moved_m = found.seen_xy_m[new] - watched.seen_xy_m[old]
     is_person = found.label[new] == _PEDESTRIAN

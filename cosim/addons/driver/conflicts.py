@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from cosim.base.codes import PARKED
 from cosim.base.plane import crossed, turned_by
+from cosim.base.ragged import differs_from_last
 from results.run import Run
 
 RANGE_M = 50.0
@@ -75,9 +76,9 @@ def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANG
 def _stretches(poses: pd.DataFrame) -> Iterator[dict[str, ndarray]]:
     """Columns of whole steps, about `_ROWS` rows at once. There is one stretch at least, without rows if need be."""
     columns = {name: poses[name].to_numpy() for name in poses.columns}
-    first_of_steps = np.flatnonzero(first_rows(columns["step"]))
+    first_of_steps = np.flatnonzero(differs_from_last(columns["step"]))
     number = first_of_steps // _ROWS
-    begins = first_of_steps[first_rows(number)]
+    begins = first_of_steps[differs_from_last(number)]
     edges = [0, *begins[1:].tolist(), len(poses)]
     for begin, end in pairwise(edges):
         yield {name: column[begin:end] for name, column in columns.items()}
@@ -110,7 +111,7 @@ def _leaders(at: dict[str, ndarray], range_m: float) -> pd.DataFrame:
     gap = np.maximum(gap, 0.0)
     by_gap = np.lexsort((j[leads], gap[leads], i[leads]))
     leads = leads[by_gap]
-    nearest = leads[np.diff(i[leads], prepend=-1) > 0]
+    nearest = leads[differs_from_last(i[leads])]
     i, j = i[nearest], j[nearest]
     gap, along = gap[nearest], along[nearest]
     closing = speed[i] - speed[j] * along
@@ -299,16 +300,10 @@ def begins(on: Bool[ndarray, "n"], off: Bool[ndarray, "n"], track: ndarray) -> B
     -------
     True in the first row of each event.
     """
-    is_first = first_rows(track)
+    is_first = differs_from_last(track)
     now = held(np.where(on, 1, np.where(off | is_first, -1, 0)))
     before = np.where(is_first, -1, np.append(-1, now[:-1]))
     return (now == 1) & (before == -1)
-
-
-def first_rows(track: ndarray) -> Bool[ndarray, "n"]:
-    """Whether each row is the first one of its track."""
-    changes = track[1:] != track[:-1]
-    return np.append(True, changes)[: len(track)]
 
 
 def held(state: Int[ndarray, "n"]) -> Int[ndarray, "n"]:

@@ -119,7 +119,7 @@ def _peaks(run: Run) -> Float[ndarray, "s"]:
     before = round(_APPROACH_S / run.dt_s)
     down = (-poses.acceleration_mps2.fillna(0.0)).groupby(poses.actor).rolling(before, min_periods=1).max()
     peak = pd.Series(down.to_numpy(), pd.MultiIndex.from_frame(poses[["actor", "step"]]))
-    found = peak.reindex(pd.MultiIndex.from_frame(stopped[["actor", "step"]])).to_numpy(np.float64)
+    found = peak.reindex(pd.MultiIndex.from_frame(stopped[["actor", "step"]])).to_numpy(float)
     if not len(found):
         raise ValueError(f"{run.path.name}: no car stopped. Run longer.")
     return found

@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from cosim.addons.driver.conflicts import begins, encroachments, first_rows, following, held, overlaps, tracks
+from cosim.addons.driver.conflicts import begins, encroachments, following, held, overlaps, tracks
 from cosim.base.codes import OBJECT, PARKED
-from cosim.base.ragged import expand, rows_of
+from cosim.base.ragged import differs_from_last, expand, rows_of
 from results.run import Run
 
 HARD_MPS2, EMERGENCY_MPS2, RESET_MPS2 = 3.0, 4.5, 1.0
@@ -45,7 +45,7 @@ def stops(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     """Stops: actor, step."""
     poses = _by_actor(tracks(run) if poses is None else poses)
     speed, actor = poses.speed_mps.to_numpy(), poses.actor.to_numpy()
-    is_first = first_rows(actor)
+    is_first = differs_from_last(actor)
     stands = (speed < SLOW_MPS) | is_first
     now = held(np.where(speed > MOVING_MPS, 1, np.where(stands, -1, 0)))
     before = np.append(-1, now[:-1])
@@ -148,7 +148,7 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 def summary(run: Run) -> pd.Series:
     """Values of the metrics `safety.*` that have no group, by name: counts per vehicle-kilometre, distance and time."""
     poses = tracks(run)
-    km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
+    km = float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
     events = braking(run, poses).severity.value_counts()
     pairs, crossing = conflicts(run, poses), encroachments(run, poses)
     near = (pairs.ttc_s < NEAR_MISS_S).sum() + (crossing.pet_s < NEAR_MISS_S).sum()
@@ -185,7 +185,7 @@ def by_kind(run: Run) -> pd.DataFrame:
     if run.config.get("driver", {}).get("model", "none") == "none":
         return pd.DataFrame(columns=["kind", "n", "per_km"])
     poses = tracks(run)
-    km = float(poses.speed_mps.astype(np.float64).sum()) * run.dt_s / 1000
+    km = float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
     episodes, behind = reactions(run), waves(run, poses)
     rows = []
     for kind in KINDS:

@@ -39,22 +39,27 @@ class Family:
 
 def _exponential() -> Family:
     return Family(
-        "exponential", ("mean_s",),
+        "exponential",
+        ("mean_s",),
         lambda x, free: -x / np.exp(free[0]),
         np.exp,
         lambda median_s, mean_s: [np.log([mean_s])],
         lambda free, p: stats.expon.isf(p, scale=np.exp(free[0])),
-    )  # fmt: skip
+    )
 
 
 def _weibull() -> Family:
     return Family(
-        "Weibull", ("shape", "scale_s"),
+        "Weibull",
+        ("shape", "scale_s"),
         lambda x, free: -((x / np.exp(free[1])) ** np.exp(free[0])),
         np.exp,
-        lambda median_s, mean_s: [np.array([0.0, np.log(mean_s)]), np.array([-0.5, np.log(median_s)])],
+        lambda median_s, mean_s: [
+            np.array([0.0, np.log(mean_s)]),
+            np.array([-0.5, np.log(median_s)]),
+        ],
         lambda free, p: stats.weibull_min.isf(p, np.exp(free[0]), scale=np.exp(free[1])),
-    )  # fmt: skip
+    )
 
 
 def _log_normal() -> Family:
@@ -63,12 +68,13 @@ def _log_normal() -> Family:
         return special.log_ndtr((free[0] - log_x) / np.exp(free[1]))
 
     return Family(
-        "log-normal", ("median_s", "sigma"),
+        "log-normal",
+        ("median_s", "sigma"),
         log_sf,
         np.exp,
         lambda median_s, mean_s: [np.array([np.log(median_s), 0.0])],
         lambda free, p: stats.lognorm.isf(p, np.exp(free[1]), scale=np.exp(free[0])),
-    )  # fmt: skip
+    )
 
 
 def _generalised_pareto() -> Family:
@@ -81,12 +87,16 @@ def _generalised_pareto() -> Family:
             return -np.log1p(scaled) / free[0]
 
     return Family(
-        "generalised Pareto", ("shape", "scale_s"),
+        "generalised Pareto",
+        ("shape", "scale_s"),
         log_sf,
         lambda free: np.array([free[0], np.exp(free[1])]),
-        lambda median_s, mean_s: [np.array([0.1, np.log(mean_s)]), np.array([0.6, np.log(median_s)])],
+        lambda median_s, mean_s: [
+            np.array([0.1, np.log(mean_s)]),
+            np.array([0.6, np.log(median_s)]),
+        ],
         lambda free, p: stats.genpareto.isf(p, free[0], scale=np.exp(free[1])),
-    )  # fmt: skip
+    )
 
 
 def _hyper_exponential() -> Family:
@@ -116,19 +126,24 @@ def _hyper_exponential() -> Family:
         return (low + high) / 2
 
     def starts(median_s: float, mean_s: float) -> list[Free]:
-        tried = ((0.0, median_s / 2, 4.0), (1.0, mean_s / 2, 5.0), (-1.0, median_s / 4, 8.0))
+        tried = (
+            (0.0, median_s / 2, 4.0),
+            (1.0, mean_s / 2, 5.0),
+            (-1.0, median_s / 4, 8.0),
+        )
         found = []
         for share, short_s, ratio in tried:
             found.append(np.array([share, np.log(short_s), np.log(ratio)]))
         return found
 
     return Family(
-        "hyper-exponential", ("short_share", "short_mean_s", "ratio_of_means"),
+        "hyper-exponential",
+        ("short_share", "short_mean_s", "ratio_of_means"),
         log_sf,
         natural,
         starts,
         draw,
-    )  # fmt: skip
+    )
 
 
 FAMILIES: Mapping[str, Family] = {

@@ -86,9 +86,14 @@ class Sweeper:
 
 
 def export(
-    run: Run, form: str, out: Path, vehicles: str | None = None, steps: str | None = None, sets: Sequence[str] = (),
+    run: Run,
+    form: str,
+    out: Path,
+    vehicles: str | None = None,
+    steps: str | None = None,
+    sets: Sequence[str] = (),
     progress: Progress = lambda what, done, total: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Write a run, or some vehicles and steps of it, in another tool's layout.
 
     Parameters
@@ -118,9 +123,13 @@ def export(
 
 
 def _exported(
-    run: Run, choice: Choice, fmt: Exporter, out: Path, wanted: tuple[str | None, str | None, Sequence[str]],
+    run: Run,
+    choice: Choice,
+    fmt: Exporter,
+    out: Path,
+    wanted: tuple[str | None, str | None, Sequence[str]],
     progress: Progress,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     vehicles, steps, sets = wanted
     run.require(*fmt.TABLES)
     if vehicles is not None and getattr(fmt, "ALL_VEHICLES", False):
@@ -198,8 +207,9 @@ def _vehicles(run: Run, text: str | None) -> tuple[int, ...]:
     known = run.table("vehicles", ["vehicle", "equipped"]).set_index("vehicle").equipped
     if text is None:
         return tuple(known.index[known].tolist())
-    ranges = _ranges(text, "--vehicles", "3,17,20-25")
-    chosen = dict.fromkeys(n for a, b in ranges for n in range(a, b + 1))
+    chosen: dict[int, None] = {}
+    for first, last in _ranges(text, "--vehicles", "3,17,20-25"):
+        chosen |= dict.fromkeys(range(first, last + 1))
     for number in chosen:
         if number not in known.index:
             raise ValueError(
@@ -247,17 +257,20 @@ def _size(n_bytes: float) -> str:
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.1f} MB"
 
 
-def _road_edge_m(config: Config) -> Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]:
+def _road_edge_m(
+    config: Config,
+) -> Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]:
     """A function for the distance of points to the edge of the lanes for motor vehicles [m]; positive on the lanes."""
     scenario = find(config.traffic.scenario, config.traffic.trace)
 
     @cache
     def road() -> tuple[shapely.Geometry, shapely.STRtree]:
-        lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
+        lanes = () if scenario.net is None else network.lanes(scenario.net)
         strips = []
         for lane in lanes:
-            line = shapely.LineString(lane.line_m[:, :2] - scenario.origin_m)
-            strips.append(shapely.buffer(line, 0.5 * lane.width_m, quad_segs=4))
+            if lane.for_cars:
+                line = shapely.LineString(lane.line_m[:, :2] - scenario.origin_m)
+                strips.append(shapely.buffer(line, 0.5 * lane.width_m, quad_segs=4))
         whole = shapely.union_all(strips)
         if whole.is_empty:
             raise ValueError("the run's traffic has no network: the distance to the edge of the road is not known.")

@@ -65,7 +65,8 @@ def _packed(selection: Selection) -> bytes:
         for steps in selection.spans():
             here = {moment.step: moment for moment in selection.traffic(steps)}
             for step in steps.tolist():
-                file.write(_timestep(step, here.get(step), fixed, selection.run.dt_s, selection.place.origin_m))
+                text = _timestep(step, here.get(step), fixed, selection.run.dt_s, selection.place.origin_m)
+                file.write(text)
         file.write(b"</fcd-export>\n")
     return packed.getvalue()
 
@@ -75,8 +76,9 @@ def _fixed(actor: dict[Hashable, Any]) -> str:
     kind = actor["vehicle_class"]
     element = "person" if kind == "pedestrian" else "vehicle"
     name = quoteattr(actor["sumo_id"])
-    size = " ".join(f'{what}="{actor[f"{what}_m"]:.9g}"' for what in ("length", "width", "height"))
-    return f'{element} id={name} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}" {size}'
+    about = f'id={name} type="{kind}" vClass="{SUMO_CLASS.get(kind, kind)}"'
+    length, width, height = actor["length_m"], actor["width_m"], actor["height_m"]
+    return f'{element} {about} length="{length:.9g}" width="{width:.9g}" height="{height:.9g}"'
 
 
 def _timestep(
@@ -92,15 +94,17 @@ def _timestep(
     box = moment.box
     yaw = box[:, 6]
     heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
-    front = box[:, :2] + 0.5 * box[:, 3:4] * heading + origin_m
+    half_length = 0.5 * box[:, 3:4]
+    front = box[:, :2] + half_length * heading + origin_m
     underside = box[:, 2] - 0.5 * box[:, 5]
     angle = np.mod(90.0 - np.degrees(yaw), 360.0)
     columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
-    for actor, x, y, z, degrees, speed in zip(*(column.tolist() for column in columns), strict=True):
+    for actor, x, y, z, degrees, speed in rows:
         if actor not in fixed:
             continue
-        place = f'x="{x:.5f}" y="{y:.5f}" z="{z:.5f}"'
-        lines.append(f'        <{fixed[actor]} {place} angle="{degrees:.5f}" speed="{speed:.5f}"/>\n')
+        place = f'x="{x:.5f}" y="{y:.5f}" z="{z:.5f}" angle="{degrees:.5f}"'
+        lines.append(f'        <{fixed[actor]} {place} speed="{speed:.5f}"/>\n')
     lines.append("    </timestep>\n")
     return "".join(lines).encode()

@@ -38,7 +38,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.export.frames import FOCAL_PX, IMAGE_PX, InCamera, in_camera, in_sensor
-from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.moments import BOX, NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit, units_of_steps
 from results.sensing import interval_steps
 from results.spreadsheet import csv_of
 
@@ -90,8 +90,7 @@ class Kitti:
         units = []
         if images:
             units.append(Unit("image", lambda clouds: iter([File(FIRST_IMAGE, image)])))
-        for steps in selection.blocks():
-            units.append(Unit(f"steps {steps[0]} to {steps[-1]}", partial(_block, selection, steps)))
+        units += units_of_steps(selection.blocks(), partial(_block, selection))
         units.append(Unit("image sets", partial(_image_sets, selection, images)))
         units.append(Unit("sequences", partial(_sequences, selection)))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
@@ -119,8 +118,8 @@ def image(size_px: tuple[int, int] = IMAGE_PX) -> bytes:
     chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     content = b"\x89PNG\r\n\x1a\n"
     for kind, data in chunks:
-        length, check = (struct.pack(">I", number) for number in (len(data), zlib.crc32(kind + data)))
-        content += length + kind + data + check
+        content += struct.pack(">I", len(data)) + kind + data
+        content += struct.pack(">I", zlib.crc32(kind + data))
     return content
 
 
@@ -179,8 +178,9 @@ def velodyne(cloud: Cloud) -> bytes:
 
 def calibration(end: str = "\n") -> str:
     """The camera at the LiDAR's place: x right, y down, z forward."""
-    f, (w, h) = FOCAL_PX, IMAGE_PX
-    p = f"{f:g} 0 {w / 2:g} 0 0 {f:g} {h / 2:g} 0 0 0 1 0"
+    f, (width, height) = FOCAL_PX, IMAGE_PX
+    x, y = width / 2, height / 2
+    p = f"{f:g} 0 {x:g} 0 0 {f:g} {y:g} 0 0 0 1 0"
     lines = [f"P{i}: {p}" for i in range(4)]
     lines += ["R0_rect: 1 0 0 0 1 0 0 0 1", "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0"]
     return end.join([*lines, "Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0", ""])
@@ -266,16 +266,20 @@ def results(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str
     if sent is None:
         return []
     sent = sent[sent.origin != "self"]
-    box = sent[BOX].to_numpy(np.float64)
+    box = sent[BOX].to_numpy(float)
     camera = in_camera(in_sensor(box, pose))
     types = [TYPE_OF[c] for c in sent["class"].astype(object)]
-    return lines_of(types, camera, box, camera.is_in_image, None, sent.score.to_numpy(np.float64))
+    return lines_of(types, camera, box, camera.is_in_image, None, sent.score.to_numpy(float))
 
 
 def lines_of(
-    types: list[str], camera: InCamera, box: Float[ndarray, "n 7"], keep: Bool[ndarray, "n"],
-    occluded: Int[ndarray, "n"] | None = None, score: Float[ndarray, "n"] | None = None,
-) -> list[str]:  # fmt: skip
+    types: list[str],
+    camera: InCamera,
+    box: Float[ndarray, "n 7"],
+    keep: Bool[ndarray, "n"],
+    occluded: Int[ndarray, "n"] | None = None,
+    score: Float[ndarray, "n"] | None = None,
+) -> list[str]:
     """Lines of a label file or of a result file.
 
     Parameters
@@ -327,10 +331,11 @@ def sequences_of(selection: Selection) -> pd.DataFrame:
 def _sequences(selection: Selection, clouds: Clouds) -> Iterator[File]:
     """Everything of the tracking benchmark, and the tables that say what the numbers are."""
     frames = sequences_of(selection)
-    which: dict[tuple[Any, Any], tuple[Any, Any]] = {
-        (f.step, f.vehicle): (f.sequence, f.frame) for f in frames.itertuples()
-    }
-    text: dict[int, list[str]] = {int(s): [] for s in frames.sequence.unique()}
+    which: dict[tuple[Any, Any], tuple[Any, Any]] = {}
+    text: dict[Any, list[str]] = {}
+    for f in frames.itertuples():
+        which[f.step, f.vehicle] = f.sequence, f.frame
+        text[f.sequence] = []
     for steps in selection.blocks():
         for moment in selection.moments(steps):
             for vehicle in selection.vehicles:

@@ -20,11 +20,17 @@ RECEIVERS = 40
 POSE = ["x_m", "y_m", "z_m", "yaw_rad", "speed_mps", "acceleration_mps2"]
 
 
-def units_of(selection: Selection, files: Callable[[list[int], Clouds], Iterator[File]]) -> list[Unit]:
+def units_of(
+    selection: Selection,
+    files: Callable[[list[int], Clouds], Iterator[File]],
+) -> list[Unit]:
     """Units of work that each make the files of some receivers."""
-    vehicles = selection.vehicles
-    blocks = [list(vehicles[i : i + RECEIVERS]) for i in range(0, len(vehicles), RECEIVERS)]
-    return [Unit(f"receivers {block[0]} to {block[-1]}", partial(files, block)) for block in blocks]
+    units = []
+    for begin in range(0, len(selection.vehicles), RECEIVERS):
+        block = list(selection.vehicles[begin : begin + RECEIVERS])
+        name = f"receivers {block[0]} to {block[-1]}"
+        units.append(Unit(name, partial(files, block)))
+    return units
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +75,11 @@ class ExportedMessages:
         """step, observer (pseudonym), vehicle, `POSE` as reported, is_attack."""
         self._digits = len(str(int(found.observer.max())))
 
-    def number(self, step: Int[ndarray, "n"], pseudonym: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    def number(
+        self,
+        step: Int[ndarray, "n"],
+        pseudonym: Int[ndarray, "n"],
+    ) -> Int[ndarray, "n"]:
         """Identifiers of messages, each used once in a run.
 
         Parameters
@@ -81,19 +91,24 @@ class ExportedMessages:
         -------
         Whole numbers: the step, and the pseudonym in the last digits.
         """
-        return np.asarray(step, np.int64) * 10**self._digits + np.asarray(pseudonym, np.int64)
+        shifted = np.asarray(step, np.int64) * 10**self._digits
+        return shifted + np.asarray(pseudonym, np.int64)
 
     def own(self, vehicles: list[int]) -> pd.DataFrame:
         """True states of vehicles in the steps of `message_steps`; acceleration is the change since the step before."""
         columns = ["step", "actor", "x_m", "y_m", "z_m", "yaw_rad", "speed_mps"]
-        found = self._run.table("actors", columns, pc.field("actor").isin(vehicles)).sort_values(["actor", "step"])
+        found = self._run.table("actors", columns, pc.field("actor").isin(vehicles))
+        found = found.sort_values(["actor", "step"])
         before = found.groupby("actor")[["step", "speed_mps"]].shift()
         change = (found.speed_mps - before.speed_mps) / self._run.dt_s
         found["acceleration_mps2"] = change.where(found.step - before.step == 1, 0.0)
         found = found[found.step.isin(self._steps)]
         return found.rename(columns={"actor": "vehicle"}).sort_values(["vehicle", "step"], ignore_index=True)
 
-    def units(self, files: Callable[["ExportedMessages", list[int], Clouds], Iterator[File]]) -> list[Unit]:
+    def units(
+        self,
+        files: Callable[["ExportedMessages", list[int], Clouds], Iterator[File]],
+    ) -> list[Unit]:
         """Units of work that each make the files of some receivers."""
         return units_of(self.selection, partial(files, self))
 

@@ -19,6 +19,7 @@ from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -28,7 +29,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti
 from cosim.addons.export.pcap import START_S
-from results.moments import NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit
+from results.moments import NOTHING, Cloud, Clouds, File, Moment, Plan, Selection, Unit, units_of_steps
 from results.spreadsheet import csv_of
 
 TABLES = kitti.TABLES
@@ -72,7 +73,7 @@ class NuScenes:
 
     def plan(self, selection: Selection) -> Plan:
         """Clouds in blocks of steps, then the tables."""
-        units = [Unit(f"steps from {s[0]}", partial(_clouds, selection, s)) for s in selection.blocks()]
+        units = units_of_steps(selection.blocks(), partial(_clouds, selection))
         units.append(Unit("tables", partial(_tables, selection)))
         n = len(selection.presence)
         return Plan(tuple(units), n, 20, n * 10.0 * ANNOTATION_BYTES)
@@ -131,7 +132,10 @@ def _tables(selection: Selection, clouds: Clouds) -> Iterator[File]:
     for name, records in tables.items():
         yield File(f"{VERSION}/{name}.json", partial(_json, records))
     yield File("maps/empty.png", partial(kitti.image, (1, 1)))
-    rows = [(s.name, s.vehicle, s.steps[0], s.steps[-1]) for s in scenes]
+    rows = []
+    for scene in scenes:
+        steps = scene.steps
+        rows.append((scene.name, scene.vehicle, steps[0], steps[-1]))
     names = pd.DataFrame(rows, columns=["scene", "vehicle", "first_step", "last_step"])
     yield File("names.csv", partial(csv_of, names))
 
@@ -189,7 +193,12 @@ def _scene(scene: NuScenesScene) -> Record:
 def _frames(selection: Selection, scenes: list[NuScenesScene]) -> dict[str, list[Record]]:
     """Samples, their data, poses, annotations and instances."""
     of = {(step, s.vehicle): s for s in scenes for step in s.steps}
-    found: dict[str, list[Record]] = {name: [] for name in ("sample", "sample_data", "ego_pose", "sample_annotation")}
+    found: dict[str, list[Record]] = {
+        "sample": [],
+        "sample_data": [],
+        "ego_pose": [],
+        "sample_annotation": [],
+    }
     instances: dict[tuple[str, int], list[Record]] = {}
     kinds: dict[int, str] = {}
     for steps in selection.blocks():
@@ -217,8 +226,9 @@ def _sample(found: dict[str, list[Record]], selection: Selection, scene: NuScene
 
     def linked(kind: str) -> dict[str, str]:
         """The tokens of the records before and after."""
-        ends = {"prev": before, "next": after}
-        return {end: "" if at is None else token(kind, at, vehicle) for end, at in ends.items()}
+        previous = "" if before is None else token(kind, before, vehicle)
+        following = "" if after is None else token(kind, after, vehicle)
+        return {"prev": previous, "next": following}
 
     since_1970_s = START_S + step * selection.run.dt_s
     time_us = round(since_1970_s * 1e6) + selection.vehicles.index(vehicle)
@@ -272,10 +282,10 @@ def _attribute(kind: str, speed_mps: float) -> str:
 def _instance(name: str, actor: int, kind: str, chain: list[Record]) -> Record:
     """An instance; its annotations get their links."""
     mine = token("instance", name, actor)
-    for at, annotation in enumerate(chain):
+    for annotation in chain:
         annotation["instance_token"] = mine
-        annotation["prev"] = chain[at - 1]["token"] if at else ""
-        annotation["next"] = chain[at + 1]["token"] if at + 1 < len(chain) else ""
+    for one, other in pairwise(chain):
+        one["next"], other["prev"] = other["token"], one["token"]
     return {
         "token": mine, "category_token": token("category", CATEGORIES[kind]), "nbr_annotations": len(chain),
         "first_annotation_token": chain[0]["token"], "last_annotation_token": chain[-1]["token"],

@@ -89,7 +89,9 @@ class Opv2v:
                 "no two of these vehicles sense in the same steps and stay on the road meanwhile, and a scenario needs "
                 'two. Choose others, or run with sensing_phase = "common".'
             )
-        units = [Unit(s.name, partial(_scenario, selection, s, self._params.detections)) for s in found]
+        units = []
+        for scenario in found:
+            units.append(Unit(scenario.name, partial(_scenario, selection, scenario, self._params.detections)))
         units.append(kitti.names(selection))
         n = sum(len(s.vehicles) * len(s.steps) for s in found)
         return Plan(tuple(units), n, 16, n * TEXT_BYTES)
@@ -133,8 +135,9 @@ def _windows(
 def _runs(presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int) -> list[Opv2vScenario]:
     """Maximal spans of sweeps, one every `interval` steps, with the same two vehicles or more on the road."""
     found: list[Opv2vScenario] = []
-    rows = presence.groupby("step").vehicle
-    members = {int(cast(int, step)): tuple(sorted(vehicles)) for step, vehicles in rows}
+    members = {}
+    for step, vehicles in presence.groupby("step").vehicle:
+        members[int(cast(int, step))] = tuple(sorted(vehicles))
     of_sweep = [members.get(step, ()) for step in steps.tolist()]
     begin = 0
     for i in range(1, len(steps) + 1):
@@ -149,7 +152,11 @@ def _runs(presence: pd.DataFrame, steps: Int[ndarray, "s"], interval: int) -> li
     return found
 
 
-def _groups(selection: Selection, vehicles: Int[ndarray, "v"], steps: Int[ndarray, "s"]) -> list[tuple[int, ...]]:
+def _groups(
+    selection: Selection,
+    vehicles: Int[ndarray, "v"],
+    steps: Int[ndarray, "s"],
+) -> list[tuple[int, ...]]:
     """Disjoint groups of up to `MOST`, by distance in the middle of the steps; who is alone is left out."""
     moment = next(selection.moments(steps[[len(steps) // 2]]))
     xy = moment.box[[moment.row(v) for v in vehicles.tolist()], :2]
@@ -186,8 +193,19 @@ def pcd(cloud: Cloud) -> bytes:
     """Point Cloud Library's binary format with colours, which readers take for intensity; sensor frame."""
     points = cloud()
     n = len(points)
-    head = ["VERSION 0.7", "FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", "COUNT 1 1 1 1", f"WIDTH {n}",
-            "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", "DATA binary", ""]  # fmt: skip
+    head = [
+        "VERSION 0.7",
+        "FIELDS x y z rgb",
+        "SIZE 4 4 4 4",
+        "TYPE F F F F",
+        "COUNT 1 1 1 1",
+        f"WIDTH {n}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {n}",
+        "DATA binary",
+        "",
+    ]
     rows = np.column_stack([points, np.zeros(n, np.float32)])
     return "\n".join(head).encode() + rows.astype("<f4").tobytes()
 
@@ -195,18 +213,22 @@ def pcd(cloud: Cloud) -> bytes:
 def _detected(moment: Moment, vehicle: int):  # type: ignore[no-untyped-def]
     """Detections of vehicles that a vehicle transmitted, without its self report."""
     sent = moment.detections.get(vehicle)
-    return None if sent is None else sent[(sent.origin != "self") & sent["class"].isin(("car", "truck"))]
+    if sent is None:
+        return None
+    is_vehicle = sent["class"].isin(("car", "truck"))
+    return sent[(sent.origin != "self") & is_vehicle]
 
 
 def _corners(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> Float[ndarray, "n 8 3"]:
     sent = _detected(moment, vehicle)
-    box = np.zeros((0, 7)) if sent is None else sent[BOX].to_numpy(np.float64)
-    return corners_of(in_sensor(box, pose))
+    if sent is None:
+        return np.zeros((0, 8, 3))
+    return corners_of(in_sensor(sent[BOX].to_numpy(float), pose))
 
 
 def _scores(moment: Moment, vehicle: int) -> Float[ndarray, "n"]:
     sent = _detected(moment, vehicle)
-    return np.zeros(0) if sent is None else sent.score.to_numpy(np.float64)
+    return np.zeros(0) if sent is None else sent.score.to_numpy(float)
 
 
 def _npy(make: Callable[[], ndarray]) -> bytes:
@@ -225,7 +247,7 @@ def _yaml(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:
     lines = [f"ego_speed: {3.6 * moment.speed_mps[row]:.4f}"]
     lines.append(f"lidar_pose: {_pose(pose[:3], pose[3])}")
     if own is not None and len(own):
-        told = own[BOX].to_numpy(np.float64)[0]
+        told = own[BOX].to_numpy(float)[0]
         lines.append(f"predicted_ego_pos: {_pose(_under(told), told[6])}")
     lines.append(f"true_ego_pos: {_pose(under, box[6])}")
     seen = moment.visible.get(vehicle, NOTHING)

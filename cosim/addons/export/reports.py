@@ -33,7 +33,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti, pcap
 from cosim.messages import etsi
-from results.moments import Clouds, File, Plan, Selection, Unit
+from results.moments import Clouds, File, Plan, Selection, units_of_steps
 
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "evaluations")
 VERSION, CPM_AID, GN_PDU = 3, 639, 1
@@ -82,9 +82,7 @@ class MisbehaviourReports:
         """
         projection = pcap.projection_of(self._params, selection)
         made = _Reports(selection, pcap.PcapPackets(selection, projection), self._params.threshold)
-        units = []
-        for steps in selection.spans():
-            units.append(Unit(f"steps {steps[0]} to {steps[-1]}", partial(made.files, steps)))
+        units = units_of_steps(selection.spans(), made.files)
         units.append(kitti.names(selection))
         return Plan(tuple(units), 0, 0, REPORT_BYTES * len(selection.presence), made.remarks())
 
@@ -95,7 +93,10 @@ class _Reports:
     packets: pcap.PcapPackets
     threshold: float
 
-    def _denials(self, steps: Int[ndarray, "b"]) -> tuple[pd.DataFrame, Int[ndarray, "k"]]:
+    def _denials(
+        self,
+        steps: Int[ndarray, "b"],
+    ) -> tuple[pd.DataFrame, Int[ndarray, "k"]]:
         """Denials made in some steps, with the column vehicle of the evaluator; and why each is left out.
 
         Returns
@@ -130,8 +131,11 @@ class _Reports:
         n_left_out = counts.total() - counts[len(LEFT_OUT)]
         if not n_left_out:
             return ()
-        why = "; ".join(f"{counts[k]:,} {reason}" for k, reason in enumerate(LEFT_OUT) if counts[k])
-        return (f"{n_left_out:,} of {counts.total():,} denials are in no report: {why}.",)
+        why = []
+        for k, reason in enumerate(LEFT_OUT):
+            if counts[k]:
+                why.append(f"{counts[k]:,} {reason}")
+        return (f"{n_left_out:,} of {counts.total():,} denials are in no report: {'; '.join(why)}.",)
 
     def files(self, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[File]:
         """The reports of each step, by reporter, reported pseudonym and message."""
@@ -164,7 +168,13 @@ class _Reports:
         found = denials.merge(objects, how="left", on=["detection_step", *key[1:]])
         return found.assign(object_index=found.object_index.fillna(0).astype(np.int64))
 
-    def _report(self, step: int, rows: pd.DataFrame, at_m: Float[ndarray, "3"], packets: list[bytes]) -> dict[str, Any]:
+    def _report(
+        self,
+        step: int,
+        rows: pd.DataFrame,
+        at_m: Float[ndarray, "3"],
+        packets: list[bytes],
+    ) -> dict[str, Any]:
         """One report, of one reporter about one sender, from its evaluations of detections of this sender."""
         place = self.packets.projection.of_world(at_m[None, :2])
         step_ms = round(1000 * step * self.selection.run.dt_s)
@@ -186,14 +196,18 @@ class _Reports:
             "generationTime": time_us,
             "observationLocation": {
                 "latitude": round(1e7 * float(place.latitude_deg[0])),
-                "longitude": round(1e7 * float(place.longitude_deg[0])), "elevation": round(10 * float(at_m[2])),
+                "longitude": round(1e7 * float(place.longitude_deg[0])),
+                "elevation": round(10 * float(at_m[2])),
             },
-            "report": {"aid": CPM_AID, "content": {
-                "observations": [{"tgtId": TARGET, "observations": observed}],
-                "v2xPduEvidence": [{"type": GN_PDU, "v2xPdus": pdus, "subjectPduIndex": len(pdus) - 1}],
-                "nonV2xPduEvidence": evidence,
-            }},
-        }  # fmt: skip
+            "report": {
+                "aid": CPM_AID,
+                "content": {
+                    "observations": [{"tgtId": TARGET, "observations": observed}],
+                    "v2xPduEvidence": [{"type": GN_PDU, "v2xPdus": pdus, "subjectPduIndex": len(pdus) - 1}],
+                    "nonV2xPduEvidence": evidence,
+                },
+            },
+        }
         return {"version": VERSION, "content": {"plaintext": report}}
 
 

@@ -25,7 +25,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import in_camera, in_sensor
-from results.moments import Clouds, File, Moment, Plan, Selection, Unit
+from results.moments import Clouds, File, Moment, Plan, Selection, units_of_steps
 
 TABLES = kitti.TABLES
 
@@ -48,11 +48,9 @@ class TruPerceptData:
             raise ValueError(f"vehicle {selection.vehicles[0]}, the ego, is on the road in none of these steps.")
         frames = frames[frames.step.isin(ego.step)]
         steps = ego.step.to_numpy()
-        units = []
-        for block in selection.blocks():
-            here = block[np.isin(block, steps)]
-            if len(here):
-                units.append(Unit(f"steps {here[0]} to {here[-1]}", partial(_block, selection, steps, here)))
+        blocks = [block[np.isin(block, steps)] for block in selection.blocks()]
+        blocks = [block for block in blocks if len(block)]
+        units = units_of_steps(blocks, partial(_block, selection, steps))
         units.append(kitti.names(selection))
         return Plan(tuple(units), len(frames), 16, len(frames) * TEXT_BYTES)
 
@@ -72,11 +70,10 @@ def _block(
             pose = selection.pose(moment, vehicle)
             yield File(f"{folder}/velodyne/{name}.bin", partial(kitti.velodyne, cloud))
             yield File(f"{folder}/calib/{name}.txt", lambda: kitti.calibration(END).encode())
-            for what, make in (("label_2", _label), ("label_aug_2", _label_aug), ("label_aug_filtered_2", _filtered),
-                               ("predictions", kitti.results)):  # fmt: skip
-                yield File(f"{folder}/{what}/{name}.txt", partial(_text, make, moment, vehicle, pose))
-            yield File(f"{folder}/ego_object/{name}.txt", partial(_text, _ego_object, moment, vehicle, ego_pose))
-            yield File(f"{folder}/position_world/{name}.txt", partial(_text, _position, moment, vehicle, pose))
+            for what, make in _TEXTS.items():
+                seen_from = ego_pose if what == "ego_object" else pose
+                text = partial(_text, make, moment, vehicle, seen_from)
+                yield File(f"{folder}/{what}/{name}.txt", text)
 
 
 def _text(make, moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> bytes:  # type: ignore[no-untyped-def]
@@ -89,8 +86,11 @@ def _label(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]
 
 def _label_aug(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: bool = True) -> list[str]:
     found = kitti.labels(moment, vehicle, pose, hidden)
-    rows = zip(found.lines, found.actor, found.speed_mps, found.n_points, strict=True)
-    return [f"{line} {actor} {speed:.4f} {n_points}" for line, actor, speed, n_points in rows]
+    columns = found.lines, found.actor, found.speed_mps, found.n_points
+    lines = []
+    for line, actor, speed, n_points in zip(*columns, strict=True):
+        lines.append(f"{line} {actor} {speed:.4f} {n_points}")
+    return lines
 
 
 def _filtered(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
@@ -103,13 +103,31 @@ def _ego_object(moment: Moment, vehicle: int, ego_pose: Float[ndarray, "4"]) -> 
     camera = in_camera(in_sensor(box, ego_pose))
     kind = kitti.TYPE_OF[moment.vehicle_class[row]]
     flat = camera._replace(image_px=np.nan_to_num(camera.image_px))  # behind the ego it has no rectangle
-    lines = kitti.lines_of([kind], flat, box, np.ones(1, bool), np.zeros(1, int))
-    return [f"{lines[0]} {vehicle} {moment.speed_mps[row]:.4f} 0"]
+    is_kept, occluded = np.ones(1, bool), np.zeros(1, int)
+    (line,) = kitti.lines_of([kind], flat, box, is_kept, occluded)
+    return [f"{line} {vehicle} {moment.speed_mps[row]:.4f} 0"]
 
 
 def _position(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
     box = moment.box[moment.row(vehicle)]
     cos, sin = np.cos(pose[3]), np.sin(pose[3])
     under = box[:3] - np.array([0, 0, 0.5 * box[5]])
-    rows = (under, pose[:3], (cos, sin, 0.0), (sin, -cos, 0.0), (0.0, 0.0, 1.0))
+    rows = (
+        under,
+        pose[:3],
+        (cos, sin, 0.0),
+        (sin, -cos, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     return [" ".join(f"{x:.6f}" for x in row) for row in rows]
+
+
+_TEXTS = {
+    "label_2": _label,
+    "label_aug_2": _label_aug,
+    "label_aug_filtered_2": _filtered,
+    "predictions": kitti.results,
+    "ego_object": _ego_object,
+    "position_world": _position,
+}
+"""What makes the lines of the files of each folder."""

@@ -55,10 +55,23 @@ from sumo_nets import network
 
 Progress = Callable[[str, int, int], None]
 
-ZERO, HALF, ONE, GREY = np.array([[213, 50, 40], [255, 224, 130], [30, 90, 200], [70, 70, 70]], np.uint8)
+ZERO, HALF, ONE, GREY = np.array(
+    [
+        [213, 50, 40],
+        [255, 224, 130],
+        [30, 90, 200],
+        [70, 70, 70],
+    ],
+    np.uint8,
+)
 """Colours of trust 0, 0.5 and 1, and of no trust."""
 
-COLOURS = {"detected": (0, 158, 115), "received": (230, 159, 0), "believed": (86, 180, 233), "fabricated": (213, 0, 0)}
+COLOURS = {
+    "detected": (0, 158, 115),
+    "received": (230, 159, 0),
+    "believed": (86, 180, 233),
+    "fabricated": (213, 0, 0),
+}
 
 BACKGROUND = (245, 245, 245)
 """Background of both views. It is light, because the colours of roles are made for paper."""
@@ -264,7 +277,11 @@ def _partial(out: Path) -> Path:
     return out.with_name(out.name + PARTIAL)
 
 
-def first_look(run: Run, steps: Int[ndarray, "s"], vehicles: Sequence[int]) -> Float[ndarray, "3"]:
+def first_look(
+    run: Run,
+    steps: Int[ndarray, "s"],
+    vehicles: Sequence[int],
+) -> Float[ndarray, "3"]:
     """Point at which the camera looks first [m], world frame.
 
     It is the first position of the first of `vehicles` in these steps. If there is none, it is the position of the
@@ -312,8 +329,10 @@ def send_layout(recording, look_m: Float[ndarray, "3"], ages: bool = False) -> N
     from rerun import blueprint as b
 
     x, y = look_m[0], -look_m[1]
-    x_range, y_range = ([middle - MAP_M, middle + MAP_M] for middle in (x, y))
-    bounds = b.VisualBounds2D(x_range=x_range, y_range=y_range)
+    bounds = b.VisualBounds2D(
+        x_range=[x - MAP_M, x + MAP_M],
+        y_range=[y - MAP_M, y + MAP_M],
+    )
     eye = b.EyeControls3D(position=look_m + EYE_M, look_target=look_m, eye_up=[0, 0, 1])
     series = [b.TimeSeriesView(origin="trust", name="Trust")]
     series += [b.TimeSeriesView(origin="ages", name="Age of evaluations [s]")] if ages else []
@@ -321,9 +340,10 @@ def send_layout(recording, look_m: Float[ndarray, "3"], ages: bool = False) -> N
         b.Spatial2DView(origin="map", name="Map (north is up)", visual_bounds=bounds, background=BACKGROUND),
         b.Vertical(
             b.Spatial3DView(origin="city", name="City", eye_controls=eye, background=BACKGROUND),
-            *series, row_shares=[2, *[1] * len(series)],
+            *series,
+            row_shares=[2, *[1] * len(series)],
         ),
-    )  # fmt: skip
+    )
     recording.send_blueprint(b.Blueprint(views, collapse_panels=True))
 
 
@@ -356,7 +376,10 @@ def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: i
         recording.log("city/streets", rerun.LineStrips3D(high, colors=[150, 150, 156], radii=0.15), static=True)
 
 
-def strips(points_m: Float[ndarray, "p d"], n_points: Sequence[int] | Int[ndarray, "s"]) -> Any:
+def strips(
+    points_m: Float[ndarray, "p d"],
+    n_points: Sequence[int] | Int[ndarray, "s"],
+) -> Any:
     """Strips of these numbers of points, in 2 or 3 dimensions, as an Arrow array of lists.
 
     Rerun's SDK takes it as it is. It would convert a list of arrays one by one, in a second for a city.
@@ -399,9 +422,14 @@ def role_colours(run: Run, actor: Int[ndarray, "n"]) -> UInt8[ndarray, "n 3"]:
 
 
 def _block(  # type: ignore[no-untyped-def]
-    recording, run: Run, config: Config, steps: Int[ndarray, "b"], encounters: pd.DataFrame, vehicles: Sequence[int],
+    recording,
+    run: Run,
+    config: Config,
+    steps: Int[ndarray, "b"],
+    encounters: pd.DataFrame,
+    vehicles: Sequence[int],
     sweeper: Sweeper | None,
-) -> None:  # fmt: skip
+) -> None:
     """Write a block of steps."""
     import rerun
 
@@ -464,7 +492,11 @@ def _boxes(rows: pd.DataFrame) -> Boxes:
     return Boxes(xyz_m.to_numpy(float), lwh_m.to_numpy(float), rows.yaw_rad.to_numpy(float))
 
 
-def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) -> dict[str, pd.DataFrame]:
+def _last_sensed(
+    run: Run,
+    steps: Int[ndarray, "b"],
+    vehicles: Sequence[int],
+) -> dict[str, pd.DataFrame]:
     """Boxes that are shown in some of these steps.
 
     Parameters
@@ -482,8 +514,8 @@ def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) ->
     equipped = run.vehicles.vehicle[run.vehicles.equipped]
     longest = int(interval_steps(run, equipped.to_numpy(np.int64)).max(initial=1))
     step = pc.field("step")
-    earliest, latest = int(steps[0]) - longest, int(steps[-1])
-    where = (step > earliest) & (step <= latest)
+    first, last = int(steps[0]), int(steps[-1])
+    where = (step > first - longest) & (step <= last)
     of = run.subjects.vehicle
     own = of.index[of.isin(vehicles)].tolist()
     columns = ["step", "observer", *BOX]
@@ -497,10 +529,10 @@ def _last_sensed(run: Run, steps: Int[ndarray, "b"], vehicles: Sequence[int]) ->
         if "fused" in run.tables:
             believed = run.variant_table("fused", columns, where & pc.field("observer").isin(list(vehicles)))
             found["believed"] = believed.assign(by=believed.observer)
-    return {
-        name: rows.assign(end_step=rows.step + interval_steps(run, rows.by.to_numpy(np.int64)))
-        for name, rows in found.items()
-    }
+    for name, rows in found.items():
+        interval = interval_steps(run, rows.by.to_numpy(np.int64))
+        found[name] = rows.assign(end_step=rows.step + interval)
+    return found
 
 
 def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.DataFrame:

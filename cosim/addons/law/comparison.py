@@ -75,7 +75,11 @@ def _keys_of(config: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in leaves if not key.startswith(("preset", "record.", "compute."))}
 
 
-def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list[dict[str, float]]:
+Predictions = Sequence[tuple[Mapping[str, Any], Prediction]]
+"""Swept keys (none for a run) and prediction."""
+
+
+def measured_in(folder: Path, predictions: Predictions) -> list[dict[str, float]]:
     """What a run, or a study, measured for each prediction; empty where there is nothing.
 
     Parameters
@@ -83,14 +87,17 @@ def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Pre
     folder
         Folder of a run with the predicted trust variants, or of a study with the predicted points.
     predictions
-        Swept keys (none for a run) and prediction.
+        Those of the run, or of some points of the study.
     """
     found = []
     if not is_study(folder):
         run = open_run(folder)
         there = set(run.variants)
         for _, p in predictions:
-            found.append(measured_by(measure(run.as_variant(p.variant))) if p.variant in there else {})
+            of_variant = {}
+            if p.variant in there:
+                of_variant = measured_by(measure(run.as_variant(p.variant)))
+            found.append(of_variant)
         return found
     measures = open_study(folder).measures
     measures = measures[measures.replicate == 0]
@@ -107,7 +114,7 @@ def measured_in(folder: Path, predictions: Sequence[tuple[Mapping[str, Any], Pre
 
 
 def rows_of(
-    predictions: Sequence[tuple[Mapping[str, Any], Prediction]],
+    predictions: Predictions,
     measured: Sequence[Mapping[str, float]] | None = None,
 ) -> list[dict[str, Any]]:
     """One row per prediction and metric: keys, variant, metric, label, value, low, high, and what was measured."""
@@ -116,7 +123,11 @@ def rows_of(
         got = {} if measured is None else measured[number]
         for name, label in METRICS.items():
             row = {**keys, "variant": p.variant, "metric": name, "label": label, "value": p.metrics[name]}
-            row |= {"low": p.low.get(name), "high": p.high.get(name), "closed_form": p.closed.get(name)}
+            row |= {
+                "low": p.low.get(name),
+                "high": p.high.get(name),
+                "closed_form": p.closed.get(name),
+            }
             if measured is not None:
                 row["measured"] = got.get(name)
             rows.append(without_nan(row))
@@ -125,21 +136,32 @@ def rows_of(
 
 def without_nan(values: Mapping[str, Any]) -> dict[str, Any]:
     """Values with None for those that do not exist, as JSON knows no NaN."""
-    return {name: None if isinstance(v, float) and math.isnan(v) else v for name, v in values.items()}
+    found = dict(values)
+    for name, value in values.items():
+        if isinstance(value, float) and math.isnan(value):
+            found[name] = None
+    return found
 
 
-def as_json(predictions: Sequence[tuple[Mapping[str, Any], Prediction]]) -> list[dict[str, Any]]:
+def as_json(predictions: Predictions) -> list[dict[str, Any]]:
     """The predictions as plain data, with the distribution of the age of the newest evaluation."""
     found = []
     for keys, p in predictions:
         total = p.newest.sum()
         there = p.newest > 1e-9 * max(p.newest.max(initial=0.0), 1e-300)
-        found.append({
-            "keys": dict(keys), "variant": p.variant, "server_period_s": p.period_s,
-            "metrics": without_nan(p.metrics), "low": p.low, "high": p.high, "closed_form": without_nan(p.closed),
-            "newest_evaluation_age": {
-                "age_s": [round(float(a), 6) for a in p.age_s[there]],
-                "share": [round(float(n / total), 9) for n in p.newest[there]],
-            },
-        })  # fmt: skip
+        found.append(
+            {
+                "keys": dict(keys),
+                "variant": p.variant,
+                "server_period_s": p.period_s,
+                "metrics": without_nan(p.metrics),
+                "low": p.low,
+                "high": p.high,
+                "closed_form": without_nan(p.closed),
+                "newest_evaluation_age": {
+                    "age_s": [round(float(a), 6) for a in p.age_s[there]],
+                    "share": [round(float(n / total), 9) for n in p.newest[there]],
+                },
+            }
+        )
     return found

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter
 from numpy import ndarray
 
@@ -91,9 +90,10 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     every = np.concatenate([ages for p in points for ages in (p.law_s, p.measured_s)])
     every = every[np.isfinite(every) & (every > 0)]
     ends = np.array([0.8 * every.min(initial=1.0), 1.25 * every.max(initial=10.0)])
-    for share, dash in ((0.0, "-"), (0.1, style.dash(1)), (0.2, style.dash(2))):
+    for k, share in enumerate((0.0, 0.1, 0.2)):
         for sign in (1, -1) if share else (1,):
-            axes.plot(ends, ends * (1 + sign * share), color=style.PALE, linestyle=dash, linewidth=0.9)
+            off = ends * (1 + sign * share)
+            axes.plot(ends, off, color=style.PALE, linestyle=style.dash(k), linewidth=0.9)
     for i, p in enumerate(points[:_MOST]):
         ink = style.ink(i)
         for k, (what, fill) in enumerate((("median", ink), ("90th percentile", "none"))):
@@ -113,16 +113,19 @@ def _points(axes: Axes, points: Sequence[Points]) -> None:
     style.panel(axes, "Law over simulation (dashes: 10, 20 %)", "Age by simulation [s]", "Age by the law [s]")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(FormatStrFormatter("%g"))
-    entries = [
-        Line2D([], [], label=p.name, **style.look(i, are_joined=False)) for i, p in enumerate(points[:_MOST])
-    ] + [
-        Line2D([], [], linestyle="none", marker="o", color="grey", markerfacecolor=fill, label=what)
-        for fill, what in (("grey", "median"), ("none", "90th percentile"))
-    ]
+    entries = []
+    for i, p in enumerate(points[:_MOST]):
+        entries.append(style.entry(p.name, **style.look(i, are_joined=False)))
+    for fill, what in (("grey", "median"), ("none", "90th percentile")):
+        entries.append(style.entry(what, linestyle="none", marker="o", color="grey", markerfacecolor=fill))
     axes.legend(handles=entries, loc="upper left", fontsize=style.SMALLEST)
 
 
-def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[str, Any]]) -> Points:
+def points_of(
+    name: str,
+    law: Sequence[dict[str, Any]],
+    measured: Sequence[dict[str, Any]],
+) -> Points:
     """Points from the metrics of each, for those that were measured."""
     metrics = [f"freshness.newest_evaluation_age.{what}" for what in ("median_s", "p90_s")]
     law_s, measured_s = [], []
@@ -130,4 +133,8 @@ def points_of(name: str, law: Sequence[dict[str, Any]], measured: Sequence[dict[
         if metrics[0] in found:
             law_s.append([predicted[metric] for metric in metrics])
             measured_s.append([found[metric] for metric in metrics])
-    return Points(name, np.array(law_s, float).reshape(-1, 2), np.array(measured_s, float).reshape(-1, 2))
+    return Points(
+        name,
+        np.array(law_s, float).reshape(-1, 2),
+        np.array(measured_s, float).reshape(-1, 2),
+    )

@@ -56,7 +56,8 @@ def n_followed(loss_p: float) -> int:
     """Number of publications that are followed for each lookup, if each is lost with this probability."""
     if loss_p <= 0 or loss_p >= 1:
         return 1
-    return min(_MOST_BROADCASTS, 1 + int(np.ceil(np.log(_REST) / np.log(loss_p))))
+    n_lost = int(np.ceil(np.log(_REST) / np.log(loss_p)))
+    return min(_MOST_BROADCASTS, 1 + n_lost)
 
 
 class ExpectedLookups(NamedTuple):
@@ -79,9 +80,13 @@ class ExpectedLookups(NamedTuple):
 
 
 def expected_lookups(
-    subject: Int[ndarray, "p"], held: Bool[ndarray, "p i"], looked_up_p: Float[ndarray, "p"], n_subjects: int,
-    publications: Int[ndarray, "i"], received_p: Float[ndarray, "i"],
-) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:  # fmt: skip
+    subject: Int[ndarray, "p"],
+    held: Bool[ndarray, "p i"],
+    looked_up_p: Float[ndarray, "p"],
+    n_subjects: int,
+    publications: Int[ndarray, "i"],
+    received_p: Float[ndarray, "i"],
+) -> tuple[Float[ndarray, "s i"], Float[ndarray, "s"]]:
     """Expected lookups of one step by the publication that they find, equation (3).
 
     Parameters
@@ -235,7 +240,8 @@ def behind(
     publications, which = np.unique(looks.publication, return_inverse=True)
     known = (looks.publication >= 0) & (looks.subject < n_subjects)[:, None]
     cell = which.reshape(looks.publication.shape) * n_subjects + looks.subject[:, None]
-    weights = np.bincount(cell[known], looks.n[known], len(publications) * n_subjects)
+    n_cells = len(publications) * n_subjects
+    weights = np.bincount(cell[known], looks.n[known], n_cells)
     weights = weights.reshape(len(publications), n_subjects)
     log_none = np.zeros(len(pair_subject))
     arrives, expires = found.made + first_lag, found.step + window_steps
@@ -310,7 +316,8 @@ def without_trust(
     if not len(meetings.subject):
         return float("nan")
     at_last = evidence.log_none[-1]
-    summed = np.concatenate([np.zeros((len(at_last), 1)), np.cumsum(at_last, 1)], axis=1)
+    nothing = np.zeros((len(at_last), 1))
+    summed = np.concatenate([nothing, np.cumsum(at_last, 1)], axis=1)
     total = _without_trust(evidence.log_none, summed, gate.steps, meetings, window_steps, loss_p, n_followed(loss_p))
     return float(total / len(meetings.subject))
 

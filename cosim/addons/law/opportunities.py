@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import owner_of_rows, ptr_of
 from cosim.config.config import Config
 from cosim.world import World
 from sensors import lidar
@@ -26,7 +26,14 @@ from sensors.pairs import pairs_of
 from sensors.scene import prisms
 from sensors.statistical_detector import IdealDetector, StatisticalDetector, detection_p
 
-DetectedP = Callable[[ExpectedReturns, Int[ndarray, "k"], Float[ndarray, "k"]], Float[ndarray, "k"]]
+DetectedP = Callable[
+    [
+        ExpectedReturns,
+        Int[ndarray, "k"],
+        Float[ndarray, "k"],
+    ],
+    Float[ndarray, "k"],
+]
 """From expected returns, class and distance of bodies: the probability that a detector reports each one."""
 
 
@@ -82,24 +89,35 @@ class Sensing:
         """What the vehicles in these rows of the world can see."""
         boxes, range_m = world.boxes, self.params.max_range_m
         origin_m, yaw_rad = boxes.xyz_m[observers], boxes.yaw_rad[observers]
-        origin_m[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + self.params.mount_above_roof_m
+        half_height_m = 0.5 * boxes.lwh_m[observers, 2]
+        origin_m[:, 2] += half_height_m + self.params.mount_above_roof_m
         near = neighbours(origin_m, boxes, range_m)
         bodies = prisms(world.shape, boxes)
         returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
         o = owner_of_rows(np.diff(near.ptr))
         no_bodies, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
+        area = self.area
         inside = in_area(
-            pairs_of(o, origin_m, yaw_rad, boxes, near.row), np.zeros(0, bool), no_bodies, no_bodies,
-            self.area.range_m + self.area.slack_m, self.area.height_m, fov_rad, edge_slope(fov_rad),
-            self.area.slack_m, self.area.own_radius_m,
-        )  # fmt: skip
-        rows = np.flatnonzero((returns.n > 0) | (inside & (near.row != observers[o])))
-        o, body, inside = o[rows], near.row[rows], inside[rows]
+            pairs_of(o, origin_m, yaw_rad, boxes, near.row),
+            np.zeros(0, bool),
+            no_bodies,
+            no_bodies,
+            area.range_m + area.slack_m,
+            area.height_m,
+            fov_rad,
+            edge_slope(fov_rad),
+            area.slack_m,
+            area.own_radius_m,
+        )
+        is_evaluated = inside & (near.row != observers[o])
+        rows = np.flatnonzero((returns.n > 0) | is_evaluated)
+        o, inside = o[rows], inside[rows]
+        body = near.row[rows]
         found = ExpectedReturns(returns.n[rows], returns.n_unoccluded[rows])
         apart_m = np.linalg.norm(boxes.xyz_m[body] - origin_m[o], axis=1)
         return ViewTimes(
             own=observers,
-            ptr=np.searchsorted(o, np.arange(len(observers) + 1)),
+            ptr=ptr_of(o, len(observers)),
             body=body,
             seen_p=found.seen_p * inside,
             inside=inside,

@@ -21,6 +21,7 @@ from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
+from cosim.base.ragged import ptr_of
 from cosim.config.config import Config
 from cosim.runs import run as running
 from cosim.runs.check import check
@@ -82,8 +83,9 @@ def greedy(coverage: SiteCoverage, count: int) -> list[int]:
     Gains only fall as units are added, so a candidate is counted again only when it is next in line (Minoux 1978).
     """
     best = np.zeros(len(coverage.weight), np.uint16)
-    line = [(-coverage.gain(c, best), c, 0) for c in range(len(coverage.ptr) - 1)]
-    heapq.heapify(line)
+    line: list[tuple[float, int, int]] = []
+    for c in range(len(coverage.ptr) - 1):
+        heapq.heappush(line, (-coverage.gain(c, best), c, 0))
     chosen: list[int] = []
     while line and len(chosen) < count:
         _, c, at = heapq.heappop(line)
@@ -113,7 +115,8 @@ class _Sights:
     n: int = 0
 
     def __post_init__(self) -> None:
-        self.last = np.full((len(self.site_m), 1024), -self.cap - 1, np.int32)
+        shape = len(self.site_m), 1024
+        self.last = np.full(shape, -self.cap - 1, np.int32)
 
     def add(self, step: int, actor: Int[ndarray, "v"], roof_m: Float[ndarray, "v 3"]) -> None:
         """Add the vehicles of one sensing step, each with the middle of its roof."""
@@ -131,7 +134,8 @@ class _Sights:
         age = step - self.last[:, actor]
         c, v = np.nonzero(age < self.cap)
         young = self.cap - age[c, v]
-        self.rows.append((c.astype(np.int32), self.n + v, young.astype(np.uint16)))
+        site_of_row = c.astype(np.int32)
+        self.rows.append((site_of_row, self.n + v, young.astype(np.uint16)))
         self.weight.append(self._unseen_by(tree, roof_m))
         self.n += len(actor)
 
@@ -147,8 +151,9 @@ class _Sights:
         """All of it, by site."""
         c, element, young = map(np.concatenate, zip(*self.rows, strict=True))
         order = np.argsort(c, kind="stable")
-        ptr = np.searchsorted(c[order], np.arange(len(self.site_m) + 1))
-        return SiteCoverage(ptr, element[order], young[order], np.concatenate(self.weight), self.cap)
+        ptr = ptr_of(c[order], len(self.site_m))
+        weight = np.concatenate(self.weight)
+        return SiteCoverage(ptr, element[order], young[order], weight, self.cap)
 
 
 def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Junction], SiteCoverage]:
@@ -179,14 +184,19 @@ def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Jun
     site_m = junctions_m - [*scenario.origin_m, -height_m]
     steps = -(-config.n_steps // every)
     window_s = config.trust.freshness_s
-    cap = steps if window_s == "off" else min(steps, max(1, round(window_s / config.sensing_interval_s)))
+    cap = steps
+    if window_s != "off":
+        cap = min(steps, max(1, round(window_s / config.sensing_interval_s)))
     kinds = {name.upper() for name in config.fleet.equipped_kinds}
     can = np.array([shape.name in kinds for shape in Shape])
     parts, _, traffic = running.load_parts(config, scenario)
     sights = _Sights(
-        site_m, WallIndex.of(parts.city.buildings), min(config.area.range_m, config.lidar.max_range_m),
-        config.radio.range_m, min(cap, 65_000),
-    )  # fmt: skip
+        site_m,
+        WallIndex.of(parts.city.buildings),
+        min(config.area.range_m, config.lidar.max_range_m),
+        config.radio.range_m,
+        min(cap, 65_000),
+    )
     try:
         warm_up(running.warmup_of(config, scenario), traffic, parts.watch, advance)
         for number in range(config.n_steps):

@@ -52,8 +52,13 @@ class Losses(NamedTuple):
     @property
     def text(self) -> str:
         """One line; empty if nothing is left out."""
-        parts = [f"{kind} {of.text}" for kind, of in self.streets.items() if of.left_m > SMALLEST_LEFT_M]
-        return "; ".join(parts + [f"{self.n_incomplete:,} ways without places"] * bool(self.n_incomplete))
+        parts = []
+        for kind, of in self.streets.items():
+            if of.left_m > SMALLEST_LEFT_M:
+                parts.append(f"{kind} {of.text}")
+        if self.n_incomplete:
+            parts.append(f"{self.n_incomplete:,} ways without places")
+        return "; ".join(parts)
 
 
 def from_osm(
@@ -154,14 +159,29 @@ def from_box(
     return losses
 
 
-def _filled(template: str, about: dict[str, str], density: Density, figures: dict[str, float]) -> str:
+def _filled(
+    template: str,
+    about: dict[str, str],
+    density: Density,
+    figures: dict[str, float],
+) -> str:
     """The recipe of a city: its template with the values filled in."""
     values: dict[str, Any] = {
-        **about, "density": f"{density.per_km:g}", "hour": density.hour, "at_least": 300.0,
+        **about,
+        "density": f"{density.per_km:g}",
+        "hour": density.hour,
+        "at_least": 300.0,
         "bus": f"{BUSES_PER_HOUR * BY_HOUR[density.hour]:g}",
-        **dict.fromkeys((*demand.KINDS, "pedestrian", "through"), 0), **rates_at(density.hour), **figures,
-    }  # fmt: skip
-    text = re.sub(r"@(\w+)@", lambda match: escaped(values[match[1]]) if match[1] != "box" else values["box"], template)
+        **dict.fromkeys((*demand.KINDS, "pedestrian", "through"), 0),
+        **rates_at(density.hour),
+        **figures,
+    }
+
+    def value(match: re.Match[str]) -> str:
+        name = match[1]
+        return values[name] if name == "box" else escaped(values[name])
+
+    text = re.sub(r"@(\w+)@", value, template)
     return text.replace("\nseed = 1\n", f"\nseed = {density.seed}\n")
 
 
@@ -170,7 +190,13 @@ def escaped(value: object) -> str:
     return re.sub(r'["\\]|[\x00-\x1f\x7f]', "_", str(value))
 
 
-def _recipe(template: str, about: dict[str, str], density: Density, net_path: Path, gates: frozenset[str]) -> str:
+def _recipe(
+    template: str,
+    about: dict[str, str],
+    density: Density,
+    net_path: Path,
+    gates: frozenset[str],
+) -> str:
     """The recipe with the trips per hour for the wanted density, and through traffic."""
     import sumolib
 
@@ -178,12 +204,14 @@ def _recipe(template: str, about: dict[str, str], density: Density, net_path: Pa
     streets = demand.streets_of(net, gates)
     figures: dict[str, float] = trips_per_hour(streets, density)
     sample = {kind: _SAMPLE * share for kind, share in SHARES.items()}
-    wanted = tomllib.loads(_filled(template, about, density, figures | sample | {"pedestrian": 1.0}))["demand"]
+    sample["pedestrian"] = 1.0
+    wanted = tomllib.loads(_filled(template, about, density, figures | sample))["demand"]
     build.route(streets, [], wanted | {"end_s": 3600}, net_path.parent)
     if free_s := _free_times_s(net, net_path.with_name("demand.rou.xml")):
         figures = trips_per_hour(streets, density, SLOWER * sum(free_s) / len(free_s))
     flows = gate_flows(net, streets, tomllib.loads(_filled(template, about, density, figures))["demand"])
-    return _filled(template, about, density, figures | {"through": float(round(sum(one.per_hour for one in flows)))})
+    figures["through"] = float(round(sum(one.per_hour for one in flows)))
+    return _filled(template, about, density, figures)
 
 
 def _free_times_s(net: Any, path: Path) -> list[float]:

@@ -24,7 +24,9 @@ _NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 Solid = tuple[str, shapely.Geometry, Height]
 Ring = Float[ndarray, "k 2"]
-Rings = dict[str, tuple[list[list[int]], list[list[int]], Tags]]
+Chains = list[list[int]]
+"""Nodes, chain by chain."""
+Rings = dict[str, tuple[Chains, Chains, Tags]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ def rings_of(extract: Extract) -> Rings:
     for relation in extract.relations.values():
         if relation.tags.get("type") != "multipolygon" or not _is_building(relation.tags):
             continue
-        chains: dict[bool, list[list[int]]] = {True: [], False: []}
+        chains: dict[bool, Chains] = {True: [], False: []}
         parts = []  # outer ways that are parts of this building, not another copy of it
         for kind, ref, role in relation.members:
             if kind == "w" and ref in extract.ways:
@@ -74,7 +76,11 @@ def rings_of(extract: Extract) -> Rings:
     return dict(sorted(found.items()))
 
 
-def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground: Ground) -> MappedBuildings:
+def build(
+    rings: Rings,
+    project: Callable[[list[Way]], dict[int, Ring]],
+    ground: Ground,
+) -> MappedBuildings:
     """Footprints in network coordinates, parts taking the place of the outline they refine.
 
     `project` turns ways into rings in the network's coordinates; `ground` is kept free of buildings.
@@ -85,16 +91,17 @@ def build(rings: Rings, project: Callable[[list[Way]], dict[int, Ring]], ground:
         for ring in (*outer, *inner):
             closed = *ring, ring[0]
             ways.append(Way(len(ways) + 1, closed, {"building": "yes"}))
-        owner += [(name, True)] * len(outer) + [(name, False)] * len(inner)
+        owner += [(name, True)] * len(outer)
+        owner += [(name, False)] * len(inner)
     projected = project(ways)
-    shells: dict[str, dict[bool, list[Polygon]]] = defaultdict(lambda: {True: [], False: []})
-    for way, (name, is_outer) in zip(ways, owner, strict=True):
+    shells: dict[tuple[str, bool], list[Polygon]] = defaultdict(list)
+    for way, of in zip(ways, owner, strict=True):
         if way.id in projected and len(projected[way.id]) > 3:
-            shells[name][is_outer] += pieces_of(Polygon(projected[way.id]))
+            shells[of] += pieces_of(Polygon(projected[way.id]))
     shape = {}
-    for name, solid in sorted(shells.items()):
-        whole, holes = shapely.union_all(solid[True]), shapely.union_all(solid[False])
-        shape[name] = whole.difference(holes)
+    for name in sorted({name for name, _ in shells}):
+        whole = shapely.union_all(shells[name, True])
+        shape[name] = whole.difference(shapely.union_all(shells[name, False]))
     tags = {name: rings[name][2] for name in shape}
     return _standing(_refined(shape, tags), ground)
 
@@ -113,7 +120,7 @@ def _is_part(tags: Tags) -> bool:
     return tags.get("building", "no") == "no"
 
 
-def _joined(chains: list[list[int]]) -> list[list[int]]:
+def _joined(chains: Chains) -> Chains:
     """Chains of nodes joined end to end into rings; an open chain is closed by a straight wall."""
     chains = [list(chain) for chain in chains]
     rings = []
@@ -135,7 +142,10 @@ def _joined(chains: list[list[int]]) -> list[list[int]]:
     return rings
 
 
-def _refined(shape: dict[str, shapely.Geometry], tags: dict[str, Tags]) -> list[Solid]:
+def _refined(
+    shape: dict[str, shapely.Geometry],
+    tags: dict[str, Tags],
+) -> list[Solid]:
     """Parts are kept as they are; an outline keeps the area that no part covers, and the volume below raised parts."""
     parts = [name for name in shape if _is_part(tags[name])]
     solids = []
@@ -165,7 +175,12 @@ def _standing(solids: list[Solid], ground: Ground) -> MappedBuildings:
     heights: Counter[str] = Counter()
     cut = bridging = 0
     used: Counter[str] = Counter()
-    for name, solid, height in sorted(solids, key=lambda solid: (solid[0], solid[2], solid[1].wkb)):
+
+    def place(of: Solid) -> tuple[str, Height, bytes]:
+        name, solid, height = of
+        return name, height, solid.wkb
+
+    for name, solid, height in sorted(solids, key=place):
         solid = solid.simplify(SIMPLIFY_M)
         layers = [(solid, height.base_z_m)]
         if height.base_z_m < CLEARANCE_M and street.intersects(solid):

@@ -72,7 +72,10 @@ class Agreement:
         return f"{good}, median GEH {self.geh_median:.1f}{times}"
 
 
-def geh(model: Float[ndarray, "k"], counted: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
+def geh(
+    model: Float[ndarray, "k"],
+    counted: Float[ndarray, "k"],
+) -> Float[ndarray, "k"]:
     """GEH statistic of flows in vehicles per hour: sqrt(2 (m - c)² / (m + c)), 0 where both are 0."""
     total = model + counted
     divisor = np.where(total > 0, total, 1.0)
@@ -152,7 +155,8 @@ def kept_back(counted: Counts, share: float, seed: int) -> Counts:
     """The places that a fit does not use: `share` of them, drawn by the seed; at least one place is used."""
     order = np.random.default_rng(seed).permutation(len(counted)).tolist()
     n = min(round(share * len(counted)), len(counted) - 1)
-    return {edge: value for (edge, value), k in zip(counted.items(), order, strict=True) if k < n}
+    drawn = zip(counted, order, strict=True)
+    return {edge: counted[edge] for edge, k in drawn if k < n}
 
 
 def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
@@ -272,19 +276,28 @@ def _edges(net_path: Path) -> Lines:
     return found
 
 
-def _column(rows: dict[str, dict[str, str]], name: str) -> Float[ndarray, "r"]:
-    found, (low, high) = np.empty(len(rows)), _BOUNDS[name]
+def _column(
+    rows: dict[str, dict[str, str]],
+    name: str,
+) -> Float[ndarray, "r"]:
+    low, high = _BOUNDS[name]
+    found = np.empty(len(rows))
     for number, (where, row) in enumerate(rows.items()):
         try:
             found[number] = float(row[name])
         except (TypeError, ValueError):
             found[number] = nan
         if not low <= found[number] <= high:  # also where it is no number
-            raise ValueError(f"{where}: {name} = {row[name]} is no number from {low:g} to {high:g}.")
+            said = row[name]
+            raise ValueError(f"{where}: {name} = {said} is no number from {low:g} to {high:g}.")
     return found
 
 
-def _matched(places: dict[str, Float[ndarray, "3"]], edges: Lines, net_path: Path) -> list[str]:
+def _matched(
+    places: dict[str, Float[ndarray, "3"]],
+    edges: Lines,
+    net_path: Path,
+) -> list[str]:
     """The street of each longitude, latitude and heading: the nearest that leads in that direction."""
     corners = np.array([[0.0, 0.0], [1e-4, 0.0], [0.0, 1e-4]])
     rings = [place[:2] + corners for place in places.values()]

@@ -10,8 +10,16 @@ from scipy.spatial import cKDTree
 from cosim.addons.perception.recorded import read_bytes
 from cosim.base.plane import turned_by
 
-_TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("U", 1): "<u1", ("U", 2): "<u2", ("U", 4): "<u4", ("I", 1): "<i1",
-          ("I", 2): "<i2", ("I", 4): "<i4"}  # fmt: skip
+_TYPES = {
+    ("F", 4): "<f4",
+    ("F", 8): "<f8",
+    ("U", 1): "<u1",
+    ("U", 2): "<u2",
+    ("U", 4): "<u4",
+    ("I", 1): "<i1",
+    ("I", 2): "<i2",
+    ("I", 4): "<i4",
+}
 _LONGEST_HEAD = 4096
 _FARTHEST_M = 1e6
 """Largest coordinate of a point."""
@@ -38,7 +46,9 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
         names, n = rows["FIELDS"].split(), int(rows["POINTS"])
         sizes = [int(word) for word in rows["SIZE"].split()]
         types = rows["TYPE"].split()
-        counts = [int(word) for word in rows["COUNT"].split()] if "COUNT" in rows else [1] * len(names)
+        counts = [1] * len(names)
+        if "COUNT" in rows:
+            counts = [int(word) for word in rows["COUNT"].split()]
         fields = []
         columns = zip(names, sizes, types, counts, strict=True)
         for k, (name, size, of, count) in enumerate(columns):
@@ -59,7 +69,8 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
     try:
         if kind == "binary":
             points = np.frombuffer(body, layout, n)
-            xyz = np.column_stack([points[axis][:, 0] for axis in axes]).astype(float)
+            columns_m = [points[axis][:, 0] for axis in axes]
+            xyz = np.column_stack(columns_m).astype(float)
         else:
             at = [sum(counts[: names.index(axis)]) for axis in "xyz"]
             values = np.array(b" ".join(rows_of_text).split(), dtype=float)
@@ -71,7 +82,10 @@ def points_of(path: Path) -> Float[ndarray, "n 3"]:
     return xyz[np.isfinite(xyz).all(axis=1)]
 
 
-def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[ndarray, "b"]:
+def points_in(
+    points: Float[ndarray, "n 3"],
+    box: Float[ndarray, "b 7"],
+) -> Int[ndarray, "b"]:
     """Number of points strictly inside each box; both in one frame."""
     found = np.zeros(len(box), np.int64)
     if not len(points) or not len(box):
@@ -82,6 +96,6 @@ def points_in(points: Float[ndarray, "n 3"], box: Float[ndarray, "b 7"]) -> Int[
         rows = tree.query_ball_point(box[k, :2], reach_m[k])
         away = points[rows] - box[k, :3]
         away[:, :2] = turned_by(-box[k, 6], away)
-        is_inside = (np.abs(away) < box[k, 3:6] / 2).all(axis=1)
-        found[k] = int(is_inside.sum())
+        is_inside = np.abs(away) < box[k, 3:6] / 2
+        found[k] = int(is_inside.all(axis=1).sum())
     return found

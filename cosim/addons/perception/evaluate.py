@@ -21,6 +21,7 @@ from cosim.addons.perception.plausibility import of_boxes, remarks
 from cosim.addons.perception.recorded import Recorded, RecordedBoxes, listed
 from cosim.addons.perception.recorded_trust import Trusted, trusted
 from cosim.base.plane import turned_by
+from cosim.base.ragged import differs_from_last, ptr_of
 from sensors import boxes as geometry
 from trust.fusion import SensorEvidence, fuse
 from trust.matching import match
@@ -375,7 +376,7 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
     label = np.array([names.index(name) for name in boxes.label], np.uint8)
     key = boxes.frame * (int(boxes.agent.max(initial=0)) + 1) + boxes.agent
     _, message = np.unique(key, return_inverse=True)
-    first = np.flatnonzero(np.diff(message, prepend=-1))
+    first = np.flatnonzero(differs_from_last(message))
     index = np.arange(len(boxes)) - first[message] + 1
     score = np.clip(boxes.score, 0.0, 1.0)
     table = SentDetections(message, index, label, score, np.zeros(len(boxes), bool))
@@ -395,8 +396,7 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
     evidence = SensorEvidence(np.zeros(n, int), every, every)
     others = np.flatnonzero(~np.isin(np.arange(len(first)), owner))
     of = np.searchsorted(frames, boxes.frame[first[others]])
-    of_frame = np.searchsorted(of, np.arange(len(frames) + 1))
-    trusted = SenderTrust(of_frame, others, np.ones(len(others)))
+    trusted = SenderTrust(ptr_of(of, len(frames)), others, np.ones(len(others)))
     given = FusionInput(lists, groups, table, evaluated, none, none)
     found = fuse(given, trusted, evidence, np.zeros(len(boxes)), params)
     fused = _take(boxes, found.seed)

@@ -6,7 +6,6 @@ from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from cosim.addons.perception import detection
 from cosim.addons.perception.kitti import FEWEST, LEVELS
@@ -34,19 +33,27 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     rows = [row for row in product(detection.CLASSES, LEVELS) if row in met]
     there = {which for aware in known for which in aware.boxes.unique()}
     lists = {which: kind for which, kind in _LISTS.items() if which in there}
-    figure, (left, right) = style.sheet(2, max(2.2, 0.8 + 0.15 * len(rows)))
+    height = 0.8 + 0.15 * len(rows)
+    figure, (left, right) = style.sheet(2, max(2.2, height))
     for i, (precision, aware) in enumerate(zip(precisions, known, strict=True)):
-        offset = 0.0 if len(runs) == 1 else 0.5 * (i / (len(runs) - 1) - 0.5)
+        offset = 0.0
+        if len(runs) > 1:
+            offset = 0.5 * (i / (len(runs) - 1) - 0.5)
         for which, (_, face, line) in lists.items():
             frame = precision[(precision.boxes == which)]
-            y = [rows.index(row) + offset for row in zip(frame["class"], frame.level, strict=True)]
+            shown = zip(frame["class"], frame.level, strict=True)
+            y = [rows.index(row) + offset for row in shown]
             ink = style.inks(runs)[i]
-            dots: dict[str, Any] = {"color": ink, "marker": style.marker(i), "markerfacecolor": face or ink}
+            dots: dict[str, Any] = {
+                "color": ink,
+                "marker": style.marker(i),
+                "markerfacecolor": face or ink,
+            }
             left.plot(frame.ap40, y, linestyle="", **dots)
             curve = aware[aware.boxes == which]
             right.plot(curve.distance_m, curve.share, linestyle=line, **dots)
     style.panel(left, "Average precision", "AP 3D, 40 recall points [%]", "")
-    left.set_yticks(range(len(rows)), [f"{label}, {level}" for label, level in rows])
+    left.set_yticks(range(len(rows)), [", ".join(row) for row in rows])
     left.set_ylim(len(rows) - 0.5, -0.5)
     left.set_xlim(-3, 103)
     for border, ((above, _), (below, _)) in enumerate(pairwise(rows)):
@@ -56,7 +63,7 @@ def draw(runs: Sequence[Run], max_frames: int = 4000, range_m: float = 70.0) -> 
     style.share_axis(right)
     right.set_xlim(0, range_m)
     entries = [
-        Line2D([], [], color="black", marker="o", markerfacecolor=face or "black", linestyle=line, label=name)
+        style.entry(name, color="black", marker="o", markerfacecolor=face or "black", linestyle=line)
         for name, face, line in lists.values()
     ]
     style.legend(figure, entries, style.series_entries(runs, lines=False))

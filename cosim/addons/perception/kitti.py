@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.perception.overlap import in_blocks, iou_3d, iou_bev, near_pairs
+from cosim.base.ragged import differs_from_last
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -155,7 +156,7 @@ def _match(
     """
     taken = np.zeros((len(allowed), len(i)), bool)
     used = np.zeros_like(allowed)
-    is_first = np.diff(i, prepend=-1) != 0
+    is_first = differs_from_last(i)
     first = np.flatnonzero(is_first)
     group = np.cumsum(is_first) - 1  # ground truths that have candidates
     frames = frame[i[first]]
@@ -164,7 +165,7 @@ def _match(
     for pairs in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
         candidate = j[pairs]
         free = allowed[:, candidate] & ~used[:, candidate]
-        begins = np.flatnonzero(np.diff(group[pairs], prepend=-1))
+        begins = np.flatnonzero(differs_from_last(group[pairs]))
         begin = begins[np.searchsorted(begins, np.arange(len(pairs)), "right") - 1]  # of the own ground truth
         n_free = np.cumsum(free, axis=1, dtype=np.int32)
         n_before = (n_free - free)[:, begin]

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from cosim.addons.perception.clouds import points_in, points_of
 from cosim.addons.perception.recorded import Recorded, RecordedBoxes, moved
+from cosim.base.ragged import ptr_of
 from sensors import boxes as geometry
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -79,7 +80,7 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
     chosen, scores = [np.zeros(0, int)], [np.zeros(0)]
     unread, why_unread = 0, ""
     present = dict.fromkeys(numbers, 0)
-    begin = np.searchsorted(boxes.frame, np.arange(len(data.frames) + 1))
+    begin = ptr_of(boxes.frame, len(data.frames))
     for frame, here in enumerate(cooperating):
         rows = np.arange(begin[frame], begin[frame + 1])
         if not len(rows):

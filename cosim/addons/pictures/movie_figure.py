@@ -17,7 +17,6 @@ from matplotlib import colormaps
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
 from numpy import ndarray
 
 from cosim.base import durable
@@ -34,13 +33,18 @@ PICTURES_PER_S = 6
 DPI = 167
 TRUST = colormaps["RdYlBu"].with_extremes(bad="white")
 """Colours of trust; white has no evaluation yet."""
-SEEN, BELIEVED, LIE = style.INKS[2], style.INKS[4], style.ROLE_INKS["malicious"]
+SEEN, BELIEVED = style.INKS[2], style.INKS[4]
+LIE = style.ROLE_INKS["malicious"]
 
 
 def write(
-    run: Run, out: Path, vehicle: int | None, streets: Sequence[Float[ndarray, "k 2"]],
-    buildings: Sequence[Float[ndarray, "k 2"]], progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Path:  # fmt: skip
+    run: Run,
+    out: Path,
+    vehicle: int | None,
+    streets: Sequence[Float[ndarray, "k 2"]],
+    buildings: Sequence[Float[ndarray, "k 2"]],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
     """Film a run, around a vehicle while it is on the road or of the whole city.
 
     Parameters
@@ -63,7 +67,8 @@ def write(
     if vehicle is not None:
         if vehicle not in spans.index or not spans.equipped[vehicle]:
             raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR in {run.path}.")
-        first, last = int(spans.first_step[vehicle]), int(spans.last_step[vehicle])
+        first = int(spans.first_step[vehicle])
+        last = int(spans.last_step[vehicle])
     steps = np.arange(first, last + 1)
     steps = steps[:: -(-len(steps) // MOST_FRAMES)]
     film = _Film(run, vehicle, steps, streets, buildings)
@@ -102,7 +107,8 @@ class _Film:
         self._believed = self._seen[:0]
         if vehicle is not None and "fused" in run.tables:
             fused = run.variant_table("fused", ["step", "x_m", "y_m"], pc.field("observer") == vehicle)
-            self._believed = fused.assign(end_step=fused.step + interval_steps(run, np.array([vehicle]))[0])
+            (interval,) = interval_steps(run, np.array([vehicle]))
+            self._believed = fused.assign(end_step=fused.step + interval)
         self._trust_at = partial(in_vehicles, run)
         self._roles = run.roles.astype(object)
         self._attack_starts = attack_starts(run)
@@ -142,13 +148,16 @@ class _Film:
             ("x", LIE, "fabricated", True),
         ]
         if self.vehicle is not None:
-            marks += [("*", "black", f"vehicle {self.vehicle}", True), ("s", SEEN, "it detects", False),
-                      ("s", BELIEVED, "it believes", False)]  # fmt: skip
-        handles = [
-            Line2D([], [], linestyle="", marker=m, color=c, label=text, markerfacecolor=c if full else "none")
-            for m, c, text, full in marks
-        ]
-        style.legend(self.figure, handles)
+            marks += [
+                ("*", "black", f"vehicle {self.vehicle}", True),
+                ("s", SEEN, "it detects", False),
+                ("s", BELIEVED, "it believes", False),
+            ]
+        entries = []
+        for marker, colour, text, is_full in marks:
+            fill = colour if is_full else "none"
+            entries.append(style.entry(text, linestyle="", marker=marker, color=colour, markerfacecolor=fill))
+        style.legend(self.figure, entries)
         layout = self.figure.get_layout_engine()
         assert isinstance(layout, ConstrainedLayoutEngine)
         layout.set(rect=(0.04, 0.0, 0.92, 1.0))  # room for coordinates that get longer as the picture moves
@@ -168,9 +177,12 @@ class _Film:
         self._equipped.set_array(np.ma.masked_invalid(rated))
         self._liars.set_offsets(xy[attacks])
         for marks, rows in (
-            (self._ghosts, self._lies), (self._finds, self._seen), (self._beliefs, self._believed)
-        ):  # fmt: skip
-            marks.set_offsets(_places(rows[(rows.step <= step) & (step < rows.end_step)]))
+            (self._ghosts, self._lies),
+            (self._finds, self._seen),
+            (self._beliefs, self._believed),
+        ):
+            is_shown = (rows.step <= step) & (step < rows.end_step)
+            marks.set_offsets(_places(rows[is_shown]))
         if self.vehicle is not None and len(at := xy[number == self.vehicle]):
             self._me.set_offsets(at)
             east, north = at[0]

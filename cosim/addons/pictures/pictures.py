@@ -69,15 +69,15 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
     rows = np.flatnonzero(away_m < config.lidar.max_range_m)
     rows = rows[rows != row]
     own = run.subjects.index[run.subjects.vehicle == vehicle].tolist()
-    detected = run.table("detections", where=(pc.field("step") == step) & pc.field("observer").isin(own))
+    is_now = pc.field("step") == step
+    detected = run.table("detections", where=is_now & pc.field("observer").isin(own))
     detected = detected[detected.origin == "sensed"]
     boxes = Boxes(
         xyz_m=detected[["x_m", "y_m", "z_m"]].to_numpy(float),
         lwh_m=detected[["length_m", "width_m", "height_m"]].to_numpy(float),
         yaw_rad=detected.yaw_rad.to_numpy(float),
     )
-    of_vehicle = pc.field("vehicle") == vehicle
-    errors = run.table("position_errors", where=of_vehicle & (pc.field("step") == step))
+    errors = run.table("position_errors", where=is_now & (pc.field("vehicle") == vehicle))
     believed = sweeps.poses
     if len(errors):  # the pose that displaced the boxes
         believed = believed.displaced(errors[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float))
@@ -107,11 +107,18 @@ def sweep(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
             f"nor a point cloud ({', '.join(clouds.FORMATS)}). Give one of these endings."
         )
     boxes = {
-        name: np.column_stack([b.xyz_m[:, :2], b.lwh_m[:, :2], b.yaw_rad])
-        for name, b in (("actors", scan_of_step.actors), ("reported by the detector", scan_of_step.reported))
+        "actors": _from_above(scan_of_step.actors),
+        "reported by the detector": _from_above(scan_of_step.reported),
     }
-    title = f"LiDAR sweep of vehicle {vehicle} at {step * run.dt_s:g} s: {len(points[0]):,} returns"
+    when = f"{step * run.dt_s:g} s"
+    title = f"LiDAR sweep of vehicle {vehicle} at {when}: {len(points[0]):,} returns"
     return style.save(sweep_figure.draw(*points, boxes, title), out)
+
+
+def _from_above(boxes: Boxes) -> np.ndarray:
+    """Centre, length, width and yaw of boxes [n 5]."""
+    xy_m, lw_m = boxes.xyz_m[:, :2], boxes.lwh_m[:, :2]
+    return np.column_stack([xy_m, lw_m, boxes.yaw_rad])
 
 
 def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: Path | None) -> Path:
@@ -146,16 +153,18 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     city = city_of(config)
     sweeps = replayed(config, city, world, chosen)
     observers = world.actor[chosen].tolist()
-    seen_m = {observer: sweeps.poses.to_world(n, sweeps.xyz(n)) for n, observer in enumerate(observers)}
+    seen_m = {}
+    for n, observer in enumerate(observers):
+        seen_m[observer] = sweeps.poses.to_world(n, sweeps.xyz(n))
     scenario = find(config.traffic.scenario, config.traffic.trace)
-    lanes = [] if scenario.net is None else [lane for lane in network.lanes(scenario.net) if lane.for_cars]
+    lanes = () if scenario.net is None else network.lanes(scenario.net)
     lies = run.table("detections", where=(pc.field("step") == step))
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
     b = world.boxes
     moment = scene_figure.SceneMoment(
         centre_m=xy_m[chosen[0]],
-        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes],
+        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes if lane.for_cars],
         buildings=[
             (shapely.get_coordinates(shapely.get_exterior_ring(polygon))[:-1], base, top)
             for polygon, base, top in zip(city.footprints, city.buildings.base_m, city.buildings.top_m, strict=True)
@@ -190,7 +199,10 @@ def movie(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
 
 
 def film(
-    run: Run, vehicle: int | None, out: Path | None, progress: Callable[[int, int], None] = lambda done, total: None
+    run: Run,
+    vehicle: int | None,
+    out: Path | None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """A movie of a run on the map of its city."""
     config = config_of(run)

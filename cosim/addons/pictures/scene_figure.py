@@ -56,10 +56,14 @@ def draw(moment: SceneMoment, title: str) -> Figure:
     half_m = [HALF_WIDTH_M, HALF_DEPTH_M]
     low, high = moment.centre_m - half_m, moment.centre_m + half_m
     walls, fills = [], []
-    from_north = sorted(moment.buildings, key=lambda building: -float(building[0][:, 1].mean()))
-    for ring, base, top in from_north:
-        is_near = (ring.max(axis=0) > low - 60) & (ring.min(axis=0) < high + 60)
-        if not is_near.all():
+
+    def from_north(building: tuple[ndarray, float, float]) -> float:
+        return -float(building[0][:, 1].mean())
+
+    for ring, base, top in sorted(moment.buildings, key=from_north):
+        is_before = ring.max(axis=0) <= low - 60
+        is_beyond = ring.min(axis=0) >= high + 60
+        if (is_before | is_beyond).any():
             continue
         faces, kinds = _prism(ring, base, top)
         walls += faces
@@ -133,7 +137,11 @@ def _ground(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def]
     axes.add_collection(LineCollection(streets, colors=ROAD, linewidths=5.0, zorder=0))
 
 
-def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[Float[ndarray, "_ 2"]], list[bool]]:
+def _prism(
+    ring: Float[ndarray, "k 2"],
+    base: float,
+    top: float,
+) -> tuple[list[Float[ndarray, "_ 2"]], list[bool]]:
     """Faces of an upright prism that are seen from the south, far ones first, and which is the roof."""
     x, y = ring.T
     following = np.roll(np.arange(len(ring)), -1)
@@ -143,7 +151,8 @@ def _prism(ring: Float[ndarray, "k 2"], base: float, top: float) -> tuple[list[F
     floor, roof = _at_height(ring, base), _at_height(ring, top)
     faces = []
     for a, b in zip(seen.tolist(), following[seen].tolist(), strict=True):
-        faces.append(np.concatenate([floor[[a, b]], roof[[b, a]]]))
+        lower, upper = floor[[a, b]], roof[[b, a]]
+        faces.append(np.concatenate([lower, upper]))
     return [*faces, roof], [False] * len(faces) + [True]
 
 
@@ -169,8 +178,10 @@ def _vehicles(axes, moment: SceneMoment) -> None:  # type: ignore[no-untyped-def
     axes.scatter(*ring.T, s=50, facecolors="none", edgecolors=LIE, linewidths=1.0, zorder=6)
 
 
-def _outline(box: Float[ndarray, "7"]) -> tuple[Float[ndarray, "4 2"], float, float]:
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+def _outline(box: Float[ndarray, "7"]) -> tuple[ndarray, float, float]:
+    """Corners of a box seen from above, counter-clockwise, its underside and its top."""
+    ahead, left = [-1, 1, 1, -1], [-1, -1, 1, 1]
+    signs = np.column_stack([ahead, left])
     cos, sin = np.cos(box[6]), np.sin(box[6])
     turn = np.array([[cos, sin], [-sin, cos]])
     ring = 0.5 * box[3:5] * signs @ turn + box[:2]
@@ -196,7 +207,7 @@ def _entries(moment: SceneMoment) -> list[Line2D]:
                 "markerfacecolor": face,
                 "markeredgecolor": edge,
             }
-            entries.append(Line2D([], [], linestyle="", label=text, **look))
+            entries.append(style.entry(text, linestyle="", **look))
     for i, vehicle in enumerate(moment.clouds):
-        entries.append(Line2D([], [], linestyle="", marker=".", color=_cloud_ink(i), label=f"cloud of {vehicle}"))
+        entries.append(style.entry(f"cloud of {vehicle}", linestyle="", marker=".", color=_cloud_ink(i)))
     return entries

@@ -28,7 +28,7 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
     for i, (run, name) in enumerate(zip(runs, style.names(runs), strict=True)):
         found = stale.placed(run, fresh_s)
         n, n_stale = found.n.to_numpy(), found.n_stale.to_numpy()
-        x, y = (found[c].to_numpy(np.float64) for c in ("x_m", "y_m"))
+        x, y = (found[c].to_numpy(float) for c in ("x_m", "y_m"))
         prefix = f"{name}:" if len(runs) > 1 else "Stale trust"
         over_space, over_time = panels[2 * i : 2 * i + 2]
         mesh = _heat(over_space, x, y, _edges(x, cell_m), _edges(y, cell_m), n, n_stale)

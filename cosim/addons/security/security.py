@@ -163,16 +163,16 @@ def false_exclusions(run: Run, threshold: float | None = None) -> intervals.Clus
     times = (honest.excluded & ~before).groupby(honest.subject).sum()
     watched = honest.groupby("subject").step.agg(["min", "max"])
     hours = (watched["max"] - watched["min"]) * run.dt_s / 3600
-    return intervals.ratio(times.to_numpy(np.float64), hours.to_numpy(np.float64))
+    return intervals.ratio(times.to_numpy(float), hours.to_numpy(float))
 
 
 def trust_error(run: Run) -> pd.DataFrame:
     """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by subject."""
     frame = scored_vehicles(run).query("rated")
-    error = (frame.trust.astype(np.float64) - (frame.role == HONEST)).abs()
+    error = (frame.trust.astype(float) - (frame.role == HONEST)).abs()
     return pd.DataFrame([
         {"role": role} | intervals.columns(
-            intervals.of_units(error[one.index].to_numpy(np.float64), one.subject.to_numpy()), "error"
+            intervals.of_units(error[one.index].to_numpy(float), one.subject.to_numpy()), "error"
         )
         for role, one in frame.groupby("role", observed=True)
     ])  # fmt: skip

@@ -57,7 +57,7 @@ def littles_law(run: Run, *, radius_m: float) -> list[float]:
     poses = run.sql(query, parked=PARKED)
     n_neighbours = 0  # over all poses; each pair within the radius is two neighbours
     for _, now in poses.groupby("step"):
-        xy_m = now[["x_m", "y_m"]].to_numpy(np.float64)
+        xy_m = now[["x_m", "y_m"]].to_numpy(float)
         n_neighbours += 2 * len(cKDTree(xy_m).query_pairs(radius_m, output_type="ndarray"))
     return [rate_per_h / 3600 * mean_s * len(poses) / n_neighbours]
 
@@ -75,9 +75,9 @@ def _relative_speeds_mps(run: Run, radius_m: float, every_s: float, at_least_mps
     poses = run.sql(query, slowest=at_least_mps, every=every_steps)
     found = []
     for _, now in poses.groupby("step"):
-        xy_m = now[["x_m", "y_m"]].to_numpy(np.float64)
-        yaw_rad = now.yaw_rad.to_numpy(np.float64)
-        speed_mps = now.speed_mps.to_numpy(np.float64)
+        xy_m = now[["x_m", "y_m"]].to_numpy(float)
+        yaw_rad = now.yaw_rad.to_numpy(float)
+        speed_mps = now.speed_mps.to_numpy(float)
         if len(xy_m) < 2:
             continue
         i, j = cKDTree(xy_m).query_pairs(radius_m, output_type="ndarray").T

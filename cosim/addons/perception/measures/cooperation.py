@@ -140,7 +140,9 @@ def _precision_of(
     parts: Sequence[CooperationScores], chosen: Sequence[Int[ndarray, "c"]], setting: Setting
 ) -> Float[ndarray, "o"]:
     """Average precision of some frames of several runs together, by overlap [%]."""
-    rows = [(frames, one.truth, one.found) for frames, one in zip(chosen, parts, strict=True)]
+    rows = []
+    for frames, one in zip(chosen, parts, strict=True):
+        rows.append((frames, one.truth, one.found))
     truth, found = in_turn(rows)
     return _areas(truth, _ranked(found, setting), setting)
 
@@ -206,7 +208,7 @@ def _truth(
         now = actors[["step", "actor"]].iloc[j]
         slow = _speed(run, now.step.to_numpy(), now.actor.to_numpy()) < setting.slower_mps
         i, j = i[slow], j[slow]
-    world = actors[[*BOX]].to_numpy(np.float64)[j]
+    world = actors[[*BOX]].to_numpy(float)[j]
     if setting.truth == "of senders":
         world = seen_by_senders(run, world, (i, actor[j]), own, theirs, setting.delay_steps)
     box, _, _ = ahead_of(poses, i, world, setting.range_m)
@@ -238,16 +240,17 @@ def _found(
         theirs = displaced(theirs.merge(boxes, on=["step", "observer"]), run)
         every = pd.concat([own, theirs], ignore_index=True)
     if fusion == "early":
-        error = beside[[*ERROR]].to_numpy(np.float64)
+        error = beside[[*ERROR]].to_numpy(float)
         wrong = Disturbance(delay_steps=setting.delay_steps, error=error)
         merged = early_boxes(run, poses, actors, beside[["frame", "observer"]], wrong)
         merged = merged[merged["class"] == setting.label]
         every = pd.concat([own[own.truth_actor.isna()], merged], ignore_index=True)
     frame = every.frame.to_numpy(np.int64)
-    box, _, _ = ahead_of(poses, frame, every[[*BOX]].to_numpy(np.float64), setting.range_m)
+    boxes_of_all = every[[*BOX]].to_numpy(float)
+    box, _, _ = ahead_of(poses, frame, boxes_of_all, setting.range_m)
     is_near = np.hypot(box[:, 0], box[:, 1]) <= setting.range_m
     rows = np.flatnonzero(is_near & _within(box, setting.area_m))
-    score = every.score.to_numpy(np.float64)
+    score = every.score.to_numpy(float)
     rows = rows[kept(frame[rows], box[rows], score[rows])]
     return _ranked((frame[rows], box[rows], score[rows]), setting)
 
@@ -258,10 +261,14 @@ def _ranked(found: Found, setting: Setting) -> Found:
         return found
     frame, box, score = found
     rank = np.lexsort([-score, frame])
-    return frame[rank], box[rank], -np.arange(len(rank), dtype=np.float64)
+    by_rank = -np.arange(len(rank), dtype=np.float64)
+    return frame[rank], box[rank], by_rank
 
 
-def _within(box: Float[ndarray, "n 7"], area_m: tuple[float, float]) -> Bool[ndarray, "n"]:
+def _within(
+    box: Float[ndarray, "n 7"],
+    area_m: tuple[float, float],
+) -> Bool[ndarray, "n"]:
     """Whether boxes in the frame of a vehicle lie in an area around it."""
     return (np.abs(box[:, :2]) <= area_m).all(axis=1)
 
@@ -274,7 +281,8 @@ def _sensed(boxes: pd.DataFrame, run: Run, setting: Setting) -> pd.DataFrame:
     of = pd.MultiIndex.from_frame(poses[["step", "observer"]]).get_indexer(
         pd.MultiIndex.from_frame(boxes[["step", "observer"]])
     )
-    box, _, _ = ahead_of(poses, of, boxes[[*BOX]].to_numpy(np.float64), setting.range_m)
+    in_world = boxes[[*BOX]].to_numpy(float)
+    box, _, _ = ahead_of(poses, of, in_world, setting.range_m)
     return boxes[_within(box, setting.sensed_m)]
 
 
@@ -282,4 +290,4 @@ def _speed(run: Run, step: ndarray, actor: ndarray) -> Float[ndarray, "n"]:
     """Speed of actors in steps [m/s]; NaN where there is no such actor."""
     table = run.table("actors", ["step", "actor", "speed_mps"], at_steps(np.unique(step)))
     speed = table.set_index(["step", "actor"]).speed_mps
-    return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(np.float64)
+    return speed.reindex(pd.MultiIndex.from_arrays([step, actor])).to_numpy(float)

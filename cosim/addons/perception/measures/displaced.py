@@ -38,8 +38,8 @@ def with_errors(
 def displaced(boxes: pd.DataFrame, run: Run) -> pd.DataFrame:
     """Boxes of partners moved and turned with the errors of their senders' poses (`ERROR`) in their steps."""
     pose = _poses(run, boxes)
-    error = boxes[[*ERROR]].to_numpy(np.float64)
-    world = _moved(boxes[[*BOX]].to_numpy(np.float64), pose, pose + error)
+    error = boxes[[*ERROR]].to_numpy(float)
+    world = _moved(boxes[[*BOX]].to_numpy(float), pose, pose + error)
     return boxes.assign(**dict(zip(BOX, world.T, strict=True)))
 
 
@@ -50,8 +50,8 @@ def with_larger_errors(boxes: pd.DataFrame, run: Run, factor: float) -> pd.DataF
     sizes = run.table("vehicles", ["vehicle", "length_m", "width_m", "height_m"])
     table = table.merge(sizes, left_on="actor", right_on="vehicle").set_index(["step", "actor"])
     rows = pd.MultiIndex.from_arrays([boxes.step, of])
-    true = table[[*BOX]].reindex(rows).to_numpy(np.float64)
-    box = boxes[[*BOX]].to_numpy(np.float64)
+    true = table[[*BOX]].reindex(rows).to_numpy(float)
+    box = boxes[[*BOX]].to_numpy(float)
     error = box - true
     error[:, 6] = np.mod(error[:, 6] + np.pi, 2 * np.pi) - np.pi
     larger = true + factor * error
@@ -96,7 +96,7 @@ def seen_by_senders(
     rows = np.flatnonzero((of >= 0) & ~of_ego)
     sender = first.iloc[of[rows]]
     then = _poses(run, sender.assign(step=sender.step - delay_steps))
-    now = _poses(run, sender) + sender[[*ERROR]].to_numpy(np.float64)
+    now = _poses(run, sender) + sender[[*ERROR]].to_numpy(float)
     known = np.isfinite(then[:, 0])  # a partner that has just appeared has sent nothing
     placed = world.copy()
     rows = rows[known]
@@ -108,7 +108,7 @@ def _poses(run: Run, of: pd.DataFrame) -> Float[ndarray, "n 3"]:
     """East, north and heading of observers in steps; NaN where they are not there."""
     table = run.table("actors", ["step", "actor", "x_m", "y_m", "yaw_rad"], at_steps(np.unique(of.step)))
     at = table.set_index(["step", "actor"]).reindex(pd.MultiIndex.from_frame(of[["step", "observer"]]))
-    return at.to_numpy(np.float64)
+    return at.to_numpy(float)
 
 
 def _moved(

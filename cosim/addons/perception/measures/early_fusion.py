@@ -68,11 +68,12 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
     every = _views(run, poses, actors, beside, wrong)
     for step in np.unique(every.step):
         views = every[every.step == step]
-        egos, here = poses[poses.step == step], actors[actors.step == step]
+        egos = poses[poses.step == step]
+        here = actors[actors.step == step]
         actor = here.actor.to_numpy()
         names = _keys(run, actor)
         own = names[np.searchsorted(actor, egos.observer.to_numpy())]
-        true = here[[*BOX]].to_numpy(np.float64)
+        true = here[[*BOX]].to_numpy(float)
         early = detect(
             detector,
             views=Views(
@@ -83,19 +84,25 @@ def early_boxes(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFra
                 range_m=views.away_m.to_numpy(),
                 off_m=views[["east", "north"]].to_numpy(),
             ),
-            boxes=Boxes(true[:, :3], true[:, 3:6], true[:, 6]),
+            boxes=Boxes(
+                true[:, :3],
+                true[:, 3:6],
+                true[:, 6],
+            ),
             label=np.array([ObjectClass[name.upper()] for name in here.label], np.uint8),
-            origin_m=egos[["x_m", "y_m", "z_m"]].to_numpy(np.float64),
+            origin_m=egos[["x_m", "y_m", "z_m"]].to_numpy(float),
             draws=detector_draws(config.seed, run.dt_s, int(step), names, own),
         ).reports
         boxes = early.boxes
-        found.append(pd.DataFrame({
-            "frame": egos.frame.to_numpy()[early.observer],
-            "class": np.array([c.name.lower() for c in ObjectClass], object)[early.label],
-            "score": early.score,
-            "truth_actor": actor[early.actor],
-            **dict(zip(BOX, np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad]).T, strict=True)),
-        }))  # fmt: skip
+        columns = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad])
+        of_step = pd.DataFrame(columns, columns=[*BOX]).assign(
+            frame=egos.frame.to_numpy()[early.observer],
+            score=early.score,
+            truth_actor=actor[early.actor],
+        )
+        labels = np.array([c.name.lower() for c in ObjectClass], object)
+        of_step["class"] = labels[early.label]
+        found.append(of_step)
     return pd.concat(found, ignore_index=True)
 
 
@@ -111,13 +118,15 @@ def _views(run: Run, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, w
     views = watching.merge(seen, on=["at", "observer"])
     then = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(steps)).set_index(["step", "actor"])
     now = actors.set_index(["step", "actor"])[["x_m", "y_m"]]
-    there = then.reindex(pd.MultiIndex.from_frame(views[["at", "actor"]])).to_numpy(np.float64)
-    here = now.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(np.float64)
-    own = then.reindex(pd.MultiIndex.from_frame(views[["at", "observer"]])).to_numpy(np.float64)
+    there = then.reindex(pd.MultiIndex.from_frame(views[["at", "actor"]])).to_numpy(float)
+    here = now.reindex(pd.MultiIndex.from_frame(views[["step", "actor"]])).to_numpy(float)
+    own = then.reindex(pd.MultiIndex.from_frame(views[["at", "observer"]])).to_numpy(float)
     arm = there - own
     error = np.vstack([wrong.error, np.zeros(3)])[views.partner.to_numpy()]  # the last row is the ego's
-    off = there - here + turned_by(error[:, 2], arm) - arm + error[:, :2]
-    views = views.assign(east=off[:, 0], north=off[:, 1], away_m=np.hypot(*arm.T))
+    off = there - here + turned_by(error[:, 2], arm)
+    off = off - arm + error[:, :2]
+    east, north = off.T
+    views = views.assign(east=east, north=north, away_m=np.hypot(*arm.T))
     return views[np.isfinite(off).all(axis=1)]
 
 
@@ -141,5 +150,6 @@ def cloud_bytes(run: Run, *, profile: str | None = None, sweeps: int = 40) -> li
     steps = np.linspace(0, int(run.manifest["steps"]) - 1, 4).astype(int)
     for world in worlds(run, config, steps):
         row = np.flatnonzero(world.equipped)[: -(-sweeps // len(steps))]
-        counts += np.isfinite(sweep(config, city, world, row).range_m).sum(axis=(1, 2)).tolist()
+        range_m = sweep(config, city, world, row).range_m
+        counts += np.isfinite(range_m).sum(axis=(1, 2)).tolist()
     return [float(np.mean(counts)) * POINT_BYTES / 1e6]
