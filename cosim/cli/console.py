@@ -344,7 +344,7 @@ def _freshness(get: Get) -> list[str]:
     if mean_s is not None:
         tail = "" if p90_s is None else f", and one in ten is older than {p90_s:.1f} s"
         parts.append(f"{mean_s:.1f} s old is the newest evaluation behind a trust value that is used{tail}")
-    parts.append(f"{state['evaluated']:.0%} of lookups find a value that rests on evaluations within the window")
+    parts.append(f"{state['evaluated']:.0%} of lookups find a value that rests on evaluations that still count")
     return ["; ".join(parts)]
 
 

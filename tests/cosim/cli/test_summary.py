@@ -66,7 +66,7 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         ],
         "freshness": [
             "4.0 s old is the newest evaluation behind a trust value that is used, and one in ten is older than 5.8 s; "
-            "95% of lookups find a value that rests on evaluations within the window"
+            "95% of lookups find a value that rests on evaluations that still count"
         ],
         "radio": [
             "60% of frames received by vehicles in range; 3.3% of the time the channel is busy; 1.3 s between messages "
