@@ -40,6 +40,8 @@ VERSION, CPM_AID, GN_PDU = 3, 639, 1
 TARGET, NOT_DETECTED, FREE_SPACE = 200, 1, 2
 """Private target and observations; the targets that second sources quote from the standard are below 10."""
 ETHERNET_BYTES = 14
+LOWEST_DM = 4095
+"""`Elevation` of IEEE 1609.2 counts decimetres above -409.5 m."""
 REPORT_BYTES = 2500
 """Of one report, roughly."""
 
@@ -197,7 +199,7 @@ class _Reports:
             "observationLocation": {
                 "latitude": round(1e7 * float(place.latitude_deg[0])),
                 "longitude": round(1e7 * float(place.longitude_deg[0])),
-                "elevation": round(10 * float(at_m[2])),
+                "elevation": LOWEST_DM + round(10 * float(at_m[2])),
             },
             "report": {
                 "aid": CPM_AID,

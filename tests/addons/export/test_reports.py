@@ -53,7 +53,7 @@ def test_by_hand(run, tmp_path):
     # the truck's middle is at (97, 70), 1.75 m high
     place = first["observationLocation"]
     assert place["latitude"] == pytest.approx((60 + 70 / 111412) * 1e7, abs=3)
-    assert place["longitude"] == pytest.approx((25 + 97 / 55800) * 1e7, abs=3) and place["elevation"] == 18
+    assert place["longitude"] == pytest.approx((25 + 97 / 55800) * 1e7, abs=3) and place["elevation"] == 4095 + 18
     content = first["report"]["content"]
     assert first["report"]["aid"] == 639
     assert content["observations"] == [{"tgtId": 200, "observations": [{"obsId": 1, "obs": {"objectIndex": 1}}]}]
