@@ -153,7 +153,8 @@ def read(folder: Path) -> Inventory:
             chained, again = None, b""
         if chained is None or again != line:
             raise Damaged(f"{path}: line {number + 1} is damaged, or a line before it is missing.")
-        if not (blocks[-1].end_step if blocks else 0) <= chained.end_step < 2**31:
+        begin = blocks[-1].end_step if blocks else 0
+        if not begin <= chained.end_step < 2**31:
             raise Damaged(f"{path}: line {number + 1} ends before the line before it.")
         blocks.append(chained)
     del rest  # a line that a crash cut off: never committed

@@ -110,6 +110,11 @@ class Moment:
         return at
 
 
+def at_steps(steps: ndarray) -> pc.Expression:
+    """Filter for the rows of these steps."""
+    return pc.field("step").isin(steps.tolist())
+
+
 def units_of_steps(
     blocks: Iterable[Int[ndarray, "b"]],
     files: Callable[..., Iterator[File]],
@@ -159,8 +164,8 @@ class Selection:
     def presence(self) -> pd.DataFrame:
         """(step, vehicle) of every chosen vehicle that senses, sorted; the frames of an export."""
         is_chosen = pc.field("actor").isin(list(self.vehicles))
-        where = is_chosen & pc.field("step").isin(self.steps.tolist())
-        found = self.run.table("actors", ["step", "actor"], where).rename(columns={"actor": "vehicle"})
+        found = self.run.table("actors", ["step", "actor"], is_chosen & at_steps(self.steps))
+        found = found.rename(columns={"actor": "vehicle"})
         found = found.astype({"step": np.int64, "vehicle": np.int64})
         found = found[senses(self.run, found.step.to_numpy(), found.vehicle.to_numpy())]
         return found.sort_values(["step", "vehicle"], ignore_index=True)
@@ -217,7 +222,7 @@ class Selection:
         steps
             Steps in any order. The moments come in ascending order; a step without actors has none.
         """
-        where = pc.field("step").isin(steps.tolist())
+        where = at_steps(steps)
         detections = self._detections(where)
         seen_by = pc.field("observer").isin(list(self.vehicles))
         visible = self.run.table("observability", where=where & seen_by)
@@ -235,8 +240,7 @@ class Selection:
 
     def traffic(self, steps: Int[ndarray, "b"]) -> Iterator[Moment]:
         """Like `moments`, but the actors alone: nothing is detected or visible."""
-        where = pc.field("step").isin(steps.tolist())
-        actors = self.run.table("actors", where=where).sort_values(["step", "actor"])
+        actors = self.run.table("actors", where=at_steps(steps)).sort_values(["step", "actor"])
         actors = actors.join(self.bodies, on="actor")
         for step, rows in actors.groupby("step"):
             yield Moment(

@@ -233,12 +233,15 @@ def _row(row: Any, is_first: bool) -> str:
 def _dictionary(run: Run) -> str:
     parts = []
     for name, table in TABLES.items():
-        rows = "".join(
-            f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td><td>{escape(column.unit)}</td>"
-            f"<td>{'key' if column.key else ''}</td><td>{_code(column.meaning)}"
-            f"{' May be null.' if column.null else ''}{_code(_virtual(column))}</td></tr>"
-            for label, column in table.columns.items()
-        )
+        rows = ""
+        for label, column in table.columns.items():
+            is_key = "key" if column.key else ""
+            may_be = " May be null." if column.null else ""
+            meaning = f"{_code(column.meaning)}{may_be}{_code(_virtual(column))}"
+            rows += (
+                f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td>"
+                f"<td>{escape(column.unit)}</td><td>{is_key}</td><td>{meaning}</td></tr>"
+            )
         here = "" if name in run.tables else f" (not in this run: kept from record level {table.level} up)"
         parts.append(
             f"<details><summary>{name}{here}</summary><p>{_code(table.meaning)}</p><div class='wide'><table>"

@@ -87,10 +87,10 @@ class StudyResults:
                 except (ValueError, OSError):  # the run is not there any more
                     continue
                 frames.append(found.assign(point=str(row.point)))
+        if not frames:
+            frames = [pd.DataFrame(columns=["point", *study_curves.COLUMNS])]
         columns = ["point", "replicate", *self.keys]
-        found = (
-            pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["point", *study_curves.COLUMNS])
-        )
+        found = pd.concat(frames, ignore_index=True)
         return self.points[columns].merge(found, on="point", how="inner")
 
     @cached_property

@@ -11,9 +11,31 @@ from annotated_types import Ge, Gt, Le
 from sumo_nets.demand import Draw, NoTraffic, Street
 
 BY_HOUR = (
-    0.12, 0.07, 0.05, 0.06, 0.12, 0.35, 0.70, 0.98, 0.92, 0.75, 0.70, 0.74,
-    0.76, 0.78, 0.82, 0.93, 1.00, 0.99, 0.82, 0.60, 0.44, 0.35, 0.28, 0.20,
-)  # fmt: skip
+    0.12,
+    0.07,
+    0.05,
+    0.06,
+    0.12,
+    0.35,
+    0.70,
+    0.98,
+    0.92,
+    0.75,
+    0.70,
+    0.74,
+    0.76,
+    0.78,
+    0.82,
+    0.93,
+    1.00,
+    0.99,
+    0.82,
+    0.60,
+    0.44,
+    0.35,
+    0.28,
+    0.20,
+)
 """Traffic of each hour of a working day, as a share of the busiest; the usual shape of urban traffic counts."""
 SHARES = {"car": 0.80, "van": 0.08, "truck": 0.03, "bicycle": 0.09}
 """Vehicle classes, as shares of the departures."""

@@ -20,10 +20,8 @@ from shapely import Polygon
 
 from sumo_nets import sumotools
 from sumo_nets.heights import height_of
+from sumo_nets.sumotools import Ring
 from sumo_nets.xml import Attributes, stream
-
-Ring = Float[ndarray, "k 2"]
-"""Corners of a polygon [m]; the last one is the first."""
 
 _HEIGHTS = frozenset(("height", "building:height", "building:levels", "top_z_m", "levels", "min_height"))
 """Parameters of a polygon that only something of a height has."""
@@ -116,20 +114,20 @@ def read_polygons(
     return _footprints(outer, found, where), others
 
 
-def pieces_of(shape: shapely.Geometry, least_area_m2: float = 1.0) -> list[Polygon]:
+def pieces_of(shape: shapely.Geometry) -> list[Polygon]:
     """The valid polygons of any geometry, oriented, slivers left out."""
-    return list(_pieces(np.array([shape]), least_area_m2)[0])
+    return list(_pieces(np.array([shape]))[0])
 
 
-def _pieces(shapes: ndarray, least_area_m2: float = 1.0) -> tuple[ndarray, Int[ndarray, "p"]]:
-    """Valid polygons of many geometries, and the row of the shape that each belongs to."""
+def _pieces(shapes: ndarray) -> tuple[ndarray, Int[ndarray, "p"]]:
+    """Valid polygons of 1 m² or more of many geometries, and the row of the shape that each belongs to."""
     shapes = shapes.copy()
     torn = ~shapely.is_valid(shapes)
     shapes[torn] = shapely.make_valid(shapes[torn])
     parts, of_shape = shapely.get_parts(shapes, return_index=True)
     parts, of_part = shapely.get_parts(parts, return_index=True)
     is_polygon = shapely.get_type_id(parts) == shapely.GeometryType.POLYGON
-    kept = is_polygon & (shapely.area(parts) >= least_area_m2)
+    kept = is_polygon & (shapely.area(parts) >= 1.0)
     return shapely.orient_polygons(parts[kept]), of_shape[of_part[kept]]
 
 

@@ -20,10 +20,28 @@ LANE_M = 3.2
 
 LARGEST_WIDTH_M = 1000.0
 
-MOTORS = frozenset((
-    "passenger", "private", "emergency", "authority", "army", "vip", "hov", "taxi", "bus", "coach", "delivery", "truck",
-    "trailer", "evehicle", "motorcycle", "moped", "custom1", "custom2",
-))  # fmt: skip
+MOTORS = frozenset(
+    (
+        "passenger",
+        "private",
+        "emergency",
+        "authority",
+        "army",
+        "vip",
+        "hov",
+        "taxi",
+        "bus",
+        "coach",
+        "delivery",
+        "truck",
+        "trailer",
+        "evehicle",
+        "motorcycle",
+        "moped",
+        "custom1",
+        "custom2",
+    )
+)
 """Vehicle classes of motor vehicles."""
 OTHERS = frozenset(("bicycle", "scooter", "pedestrian", "wheelchair", "tram"))
 """Other road users' classes."""
@@ -271,12 +289,16 @@ def junctions(net_path: Path | str) -> Streets:
     return Streets(found, (bounds[0], bounds[1], bounds[2], bounds[3]))
 
 
-def location(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+Location = tuple[str, tuple[float, float]]
+"""A projection, and the offset of its coordinates [m]."""
+
+
+def location(net_path: Path | str) -> Location:
     """The projection of a network as a text of PROJ, and what was added to projected coordinates: east, north [m].
 
     The text is `!` without a projection.
     """
-    found: list[tuple[str, tuple[float, float]]] = []
+    found: list[Location] = []
 
     def start(name: str, attributes: Attributes) -> None:
         if name == "location":
@@ -289,7 +311,7 @@ def location(net_path: Path | str) -> tuple[str, tuple[float, float]]:
     return found[0] if found else ("!", (0.0, 0.0))
 
 
-def projection(net_path: Path | str) -> tuple[str, tuple[float, float]]:
+def projection(net_path: Path | str) -> Location:
     """Projection and offset of a network that must have one.
 
     Raises

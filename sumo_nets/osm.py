@@ -9,7 +9,10 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 Tags = dict[str, str]
-Places = Mapping[int, tuple[float, float]]
+Box = tuple[float, float, float, float]
+"""West, south, east, north [degrees]."""
+Point = tuple[float, float]
+Places = Mapping[int, Point]
 """(longitude, latitude) of nodes by id [degrees]."""
 
 
@@ -35,18 +38,18 @@ class Relation:
 class Extract:
     """An OpenStreetMap extract in memory; ways may name nodes that were cut off at its edge."""
 
-    place: dict[int, tuple[float, float]] = field(default_factory=dict)
+    place: dict[int, Point] = field(default_factory=dict)
     """(longitude, latitude) of every node [degrees]."""
     node_tags: dict[int, Tags] = field(default_factory=dict)
     ways: dict[int, Way] = field(default_factory=dict)
     relations: dict[int, Relation] = field(default_factory=dict)
-    box: tuple[float, float, float, float] | None = None
-    """West, south, east, north of what was asked for, if the file says so [degrees]; ways may reach beyond."""
+    box: Box | None = None
+    """What was asked for, if the file says so; ways may reach beyond."""
     n_incomplete: int = 0
     """Ways that are left out because the file has the place of none of their nodes."""
 
 
-def is_within(lon: float, lat: float, box: tuple[float, float, float, float]) -> bool:
+def is_within(lon: float, lat: float, box: Box) -> bool:
     west, south, east, north = box
     return west <= lon <= east and south <= lat <= north
 

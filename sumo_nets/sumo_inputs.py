@@ -25,8 +25,24 @@ _READERS = ("rerouter", "variableSpeedSign", "calibrator")
 """Elements whose attribute `file` names a file that SUMO reads."""
 _READING = re.compile(rb"<(?:%b)\b" % b"|".join(name.encode() for name in _READERS))
 _LONGEST_TAG = 32768
-_TEXTS = frozenset(("id", "vClass", "color", "guiShape", "imgFile", "osgFile", "emissionClass", "carFollowModel",
-                    "laneChangeModel", "latAlignment", "speedFactor", "parkingBadges", "key", "value"))  # fmt: skip
+_TEXTS = frozenset(
+    (
+        "id",
+        "vClass",
+        "color",
+        "guiShape",
+        "imgFile",
+        "osgFile",
+        "emissionClass",
+        "carFollowModel",
+        "laneChangeModel",
+        "latAlignment",
+        "speedFactor",
+        "parkingBadges",
+        "key",
+        "value",
+    )
+)
 """Attributes of a vehicle type that are no plain numbers."""
 
 

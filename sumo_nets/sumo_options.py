@@ -9,9 +9,15 @@ import tomllib
 from pathlib import Path
 
 READS = (
-    "net-file", "route-files", "additional-files", "weight-files", "load-state", "astar.all-distances",
-    "astar.landmark-distances", "device.fcd-replay.files",
-)  # fmt: skip
+    "net-file",
+    "route-files",
+    "additional-files",
+    "weight-files",
+    "load-state",
+    "astar.all-distances",
+    "astar.landmark-distances",
+    "device.fcd-replay.files",
+)
 """Options that name files to read."""
 
 REFUSED = {

@@ -33,19 +33,37 @@ NETS = {
     net.name: net
     for net in (
         PackageNet(
-            "adlershof", "Berlin-Adlershof and Köpenick: 1.9 x 1.7 km of city streets and suburbs",
-            "tools/game/DRT/osm.net.xml", None, Density(per_km=2.5), 3.33, 2378, 952,
+            "adlershof",
+            "Berlin-Adlershof and Köpenick: 1.9 x 1.7 km of city streets and suburbs",
+            "tools/game/DRT/osm.net.xml",
+            None,
+            Density(per_km=2.5),
+            3.33,
+            2378,
+            952,
         ),
         PackageNet(
-            "braunschweig", "Braunschweig, ring road and university quarter: 1.6 x 1.1 km",
-            "tools/game/bs3d/bs.net.xml", None, Density(per_km=2.5), 1.73, 1364, 546,
+            "braunschweig",
+            "Braunschweig, ring road and university quarter: 1.6 x 1.1 km",
+            "tools/game/bs3d/bs.net.xml",
+            None,
+            Density(per_km=2.5),
+            1.73,
+            1364,
+            546,
         ),
         PackageNet(
-            "koenigs-wusterhausen", "Motorways A 10 and A 13 and the town of Königs Wusterhausen: 2.5 x 3.2 km",
-            "tools/game/A10KW/osm.net.xml", "tools/game/A10KW/osm.poly.xml", Density(per_km=8.0), 7.89, 5062, 1449,
+            "koenigs-wusterhausen",
+            "Motorways A 10 and A 13 and the town of Königs Wusterhausen: 2.5 x 3.2 km",
+            "tools/game/A10KW/osm.net.xml",
+            "tools/game/A10KW/osm.poly.xml",
+            Density(per_km=8.0),
+            7.89,
+            5062,
+            1449,
         ),
     )
-}  # fmt: skip
+}
 """The networks by name. SUMO's authors made them from OpenStreetMap, which is therefore attributed too."""
 
 _SOURCES = (

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.osm import Extract, Places, Way, write
+from sumo_nets.osm import Extract, Places, Point, Way, write
 from sumo_nets.xml import Attributes, Enough, stream
 
 Ring = Float[ndarray, "k 2"]
+"""Corners of a polygon; the last one is the first."""
 
 
 def home() -> Path:
@@ -76,11 +77,6 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
     for k, ring in enumerate(rings):
         shape = " ".join(f"{x!r},{y!r}" for x, y in ring.tolist())
         polygons += f'<poly id="{k}" type="building" geo="true" shape="{shape}"/>'
-    found: dict[int, Ring] = {}
-
-    def start(name: str, attributes: Attributes) -> None:
-        if name == "poly":
-            found[int(attributes["id"])] = _points(attributes["shape"])
 
     def location(name: str, attributes: Attributes) -> None:
         if name == "location":
@@ -94,8 +90,20 @@ def projected(rings: list[Ring], net_path: Path) -> list[Ring]:
         given.write_text(f"<additional>{polygons}</additional>", encoding="utf-8")
         options = {"net-file": net_path.name, "xml-files": given, "output-file": flat, "precision": 4}
         run("polyconvert", options, net_path.parent)
-        stream(flat, start)
+        found = _rings(flat)
     return [found[k] for k in range(len(rings))]
+
+
+def _rings(path: Path) -> dict[int, Ring]:
+    """The polygons that polyconvert wrote, by id."""
+    found: dict[int, Ring] = {}
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "poly":
+            found[int(attributes["id"])] = _points(attributes["shape"])
+
+    stream(path, start)
+    return found
 
 
 def _points(shape: str) -> Ring:
@@ -121,18 +129,11 @@ class Projector:
             "output-file": target.name,
         }
         run("polyconvert", options, folder)
-        rings: dict[int, Ring] = {}
+        return _rings(target)
 
-        def start(name: str, attributes: Attributes) -> None:
-            if name == "poly":
-                rings[int(attributes["id"])] = _points(attributes["shape"])
-
-        stream(target, start)
-        return rings
-
-    def nodes(self, nodes: list[int]) -> dict[int, tuple[float, float]]:
+    def nodes(self, nodes: list[int]) -> dict[int, Point]:
         """Nodes as points: each is the first corner of a small triangle."""
-        corners: dict[int, tuple[float, float]] = {}
+        corners: dict[int, Point] = {}
         ways = []
         for i, node in enumerate(nodes):
             lon, lat = self._extract.place[node]
@@ -141,7 +142,7 @@ class Projector:
             corners[north] = (lon, lat + 1e-4)
             ways.append(Way(i + 1, (node, east, north, node), {"building": "yes"}))
         rings = self.ways(ways, corners)
-        found: dict[int, tuple[float, float]] = {}
+        found: dict[int, Point] = {}
         for i, node in enumerate(nodes):
             x, y = rings[i + 1][0, :2].tolist()
             found[node] = (x, y)

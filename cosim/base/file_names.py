@@ -2,10 +2,31 @@
 
 from pathlib import PurePath
 
-COMMON_STEMS = frozenset((
-    "osm", "run", "sim", "simulation", "scenario", "sumo", "config", "configuration", "main", "test", "default", "net",
-    "network", "map", "demo", "dua", "due", "static", "fcd", "trace", "cfg",
-))  # fmt: skip
+COMMON_STEMS = frozenset(
+    (
+        "osm",
+        "run",
+        "sim",
+        "simulation",
+        "scenario",
+        "sumo",
+        "config",
+        "configuration",
+        "main",
+        "test",
+        "default",
+        "net",
+        "network",
+        "map",
+        "demo",
+        "dua",
+        "due",
+        "static",
+        "fcd",
+        "trace",
+        "cfg",
+    )
+)
 """File names that say nothing about the scenario."""
 
 

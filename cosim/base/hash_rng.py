@@ -99,12 +99,6 @@ def persistent_normals(keys: UInt64[ndarray, "k"], n: int, time_s: float, memory
     cell, w = np.divmod(time_s / memory_s + phase, 1.0)
     before = normals(mix_rows(keys, (cell + 1.0).astype(np.uint64)), n)
     after = normals(mix_rows(keys, (cell + 2.0).astype(np.uint64)), n)
-    return between(before, after, w[:, None])
-
-
-def between(
-    before: Float[ndarray, "k n"], after: Float[ndarray, "k n"], w: Float[ndarray, "k 1"]
-) -> Float[ndarray, "k n"]:
-    """Standard normals that turn from some into others as the weight of the others grows from 0 to 1."""
+    w = w[:, None]
     mean = (1.0 - w) * before + w * after
     return mean / np.sqrt((1.0 - w) ** 2 + w**2)

@@ -10,6 +10,11 @@ def wrapped(angle_rad: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
     return np.pi - np.mod(np.pi - angle_rad, 2.0 * np.pi)
 
 
+def ahead_of(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n 2"]:
+    """Unit vectors along headings."""
+    return np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+
+
 def crossed(
     a: Float[ndarray, "... 2"],
     b: Float[ndarray, "... 2"],

@@ -89,7 +89,9 @@ def as_slice(rows: Int[ndarray, "m"]) -> Int[ndarray, "m"] | slice:
     return slice(first, stop) if stop - first == len(rows) else rows
 
 
-def row_numbers(rows: Int[ndarray, "m"] | Bool[ndarray, "n"]) -> Int[ndarray, "m"]:
+def row_numbers(
+    rows: Int[ndarray, "m"] | Bool[ndarray, "n"],
+) -> Int[ndarray, "m"]:
     """Numbers of the rows that a mask marks. Row numbers stay as they are.
 
     `ndarray.take` needs an eighth of the time of an index in brackets, but reads a mask as the numbers 0 and 1.

@@ -123,33 +123,6 @@ def normals(prefix: np.uint64, *ids: ndarray, n: int = 1) -> Float[ndarray, "row
     return hash_rng.normals(keys(prefix, *ids), n)
 
 
-def persistent(
-    prefix: np.uint64, *ids: ndarray, time_s: float, memory_s: float, n: int = 1
-) -> Float[ndarray, "rows n"]:
-    """`n` standard normals for each row of identifiers, as functions of time that change slowly.
-
-    Parameters
-    ----------
-    prefix, ids
-        As for `keys`.
-    time_s
-        Time of the values, from 0. Times may be asked in any order.
-    memory_s
-        Time between two independent normals of a row, above 0.
-
-    Notes
-    -----
-    Each row has independent normals every `memory_s` seconds, at a random phase. Between two of them, a and b, the
-    value is (1 - w) a + w b, scaled to unit variance. The correlation is 0.72 after half of `memory_s`, 0.28 after
-    `memory_s`, and 0 after twice `memory_s` or more. No state is kept.
-    """
-    phase = uniforms(prefix, *ids)[:, 0]
-    cell, w = np.divmod(time_s / memory_s + phase, 1.0)
-    before = normals(prefix, *ids, cell + 1.0, n=n)
-    after = normals(prefix, *ids, cell + 2.0, n=n)
-    return hash_rng.between(before, after, w[:, None])
-
-
 def name_key(name: str) -> int:
     """The 64-bit identity of an actor: a hash of its name. It does not depend on other actors."""
     return int.from_bytes(blake2b(name.encode(), digest_size=8).digest(), "little")

@@ -79,23 +79,22 @@ class Guarded:
         """Call a method and check its result."""
         choice, file = self._choice, self._choice.source.file
         what = f"{_class_of(choice)}: {name}()"
+        defined = blame.definition_line(choice.of, name, file)
+        place = f"{file}:{defined}: {what}"
         hook = choice.kind.hooks[name]
         before = _content(hook.parameters, given)
         try:
             with isolation.kept():
                 returned = method(*map(_shown, hook.parameters, given))
         except isolation.FolderChanged as moved:
-            raise blame.ExtensionError(
-                f"{file}:{blame.definition_line(choice.of, name, file)}: {what} {moved}."
-            ) from None
+            raise blame.ExtensionError(f"{place} {moved}.") from None
         except BaseException as error:  # whatever a user's class does
             if blame.is_interrupt(error):
                 raise
-            line = blame.line_of(error, file) or blame.definition_line(choice.of, name, file)
+            line = blame.line_of(error, file) or defined
             raise blame.ExtensionError(
                 f"{file}:{line}: {what} raised {blame.reason(error)}. cosim --debug shows the traceback."
             ) from error
-        place = f"{file}:{blame.definition_line(choice.of, name, file)}: {what}"
         after = _content(hook.parameters, given)
         if changed := [argument for argument, content in before.items() if after.get(argument) != content]:
             raise blame.ExtensionError(

@@ -76,62 +76,94 @@ def _of_each(high: float, parameters: tuple[str, ...] = ("n_points", "label", "r
     return Hook(parameters, returns.one_each(high), is_required=False)
 
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (
-    Kind(
-        "detector", "detector", "detector", "model", DETECTORS,
-        {
-            "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
-            "recall": _of_each(1.0),
-            "position_sigma_m": _of_each(returns.FARTHEST_M),
-            "heading_sigma_rad": _of_each(math.pi),
-            "error_by_score": _of_each(1e6, ("score", "n_points", "label")),
-            "size_sigma": _of_each(10.0),
-        },
-    ),
-    Kind(
-        "medium", "radio medium", "radio", "model", MEDIA,
-        {
-            "start": Hook((), returns.anything),
-            "broadcast": Hook(("state", "kind", "step", "begin_s", "stations", "messages"), returns.message_round),
-        },
-        arguments=("params", "round_s", "seed", "los"), section_params=True,
-    ),
-    Kind(
-        "policy", "pseudonym policy", "pseudonyms", "policy", POLICIES,
-        {"changes": Hook(("ages",), returns.pseudonym_changes)},
-    ),
-    Kind(
-        "trust", "trust model", "trust", "model", MODELS,
-        {
-            "open_step": Hook(
-                ("step", "pseudonyms", "observer_row", "detection_index", "score"), returns.nothing
-            ),
-            "add_evaluations": Hook(("received",), returns.nothing),
-            "scores": Hook(("now_step",), returns.trust_scores),
-            "score_objects": Hook(("reports",), returns.object_scores, is_required=False),
-        },
-        arguments=("params", "dt_s"), section_params=True,
-    ),
-    Kind(
-        "driver", "driver", "driver", "model", DRIVERS,
-        {"commands": Hook(("state", "world", "beliefs", "dt_s"), returns.speed_commands)},
-        numbers={"LARGEST_STEP_S": "the longest step of traffic that the driver can command, in seconds"},
-    ),
-    Kind(
-        "attack", "attack", "attacks", "attack", ATTACKS,
-        {
-            "detections": Hook(("listed", "context"), returns.attacked_detections, is_required=False),
-            "evaluations": Hook(("rows", "detections", "context"), returns.attacked_evaluations, is_required=False),
-            "identities": Hook(("context",), returns.identities, is_required=False),
-            "sending": Hook(("context",), returns.sending, is_required=False),
-            "phantoms": Hook(("seen", "context"), returns.phantoms, is_required=False),
-        },
-    ),
-    Kind(
-        "exporter", "exporter", "", "", Choices("exporter", {}), {"plan": Hook(("selection",), returns.plan)},
-    ),
-    Kind("metric", "metric", "", "", {}, {"rows": Hook(("run",), returns.metric_rows)}),
-)}  # fmt: skip
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        Kind(
+            "detector",
+            "detector",
+            "detector",
+            "model",
+            DETECTORS,
+            {
+                "detect": Hook(("sweeps", "seen", "boxes", "label", "draws"), returns.reports),
+                "recall": _of_each(1.0),
+                "position_sigma_m": _of_each(returns.FARTHEST_M),
+                "heading_sigma_rad": _of_each(math.pi),
+                "error_by_score": _of_each(1e6, ("score", "n_points", "label")),
+                "size_sigma": _of_each(10.0),
+            },
+        ),
+        Kind(
+            "medium",
+            "radio medium",
+            "radio",
+            "model",
+            MEDIA,
+            {
+                "start": Hook((), returns.anything),
+                "broadcast": Hook(("state", "kind", "step", "begin_s", "stations", "messages"), returns.message_round),
+            },
+            arguments=("params", "round_s", "seed", "los"),
+            section_params=True,
+        ),
+        Kind(
+            "policy",
+            "pseudonym policy",
+            "pseudonyms",
+            "policy",
+            POLICIES,
+            {"changes": Hook(("ages",), returns.pseudonym_changes)},
+        ),
+        Kind(
+            "trust",
+            "trust model",
+            "trust",
+            "model",
+            MODELS,
+            {
+                "open_step": Hook(("step", "pseudonyms", "observer_row", "detection_index", "score"), returns.nothing),
+                "add_evaluations": Hook(("received",), returns.nothing),
+                "scores": Hook(("now_step",), returns.trust_scores),
+                "score_objects": Hook(("reports",), returns.object_scores, is_required=False),
+            },
+            arguments=("params", "dt_s"),
+            section_params=True,
+        ),
+        Kind(
+            "driver",
+            "driver",
+            "driver",
+            "model",
+            DRIVERS,
+            {"commands": Hook(("state", "world", "beliefs", "dt_s"), returns.speed_commands)},
+            numbers={"LARGEST_STEP_S": "the longest step of traffic that the driver can command, in seconds"},
+        ),
+        Kind(
+            "attack",
+            "attack",
+            "attacks",
+            "attack",
+            ATTACKS,
+            {
+                "detections": Hook(("listed", "context"), returns.attacked_detections, is_required=False),
+                "evaluations": Hook(("rows", "detections", "context"), returns.attacked_evaluations, is_required=False),
+                "identities": Hook(("context",), returns.identities, is_required=False),
+                "sending": Hook(("context",), returns.sending, is_required=False),
+                "phantoms": Hook(("seen", "context"), returns.phantoms, is_required=False),
+            },
+        ),
+        Kind(
+            "exporter",
+            "exporter",
+            "",
+            "",
+            Choices("exporter", {}),
+            {"plan": Hook(("selection",), returns.plan)},
+        ),
+        Kind("metric", "metric", "", "", {}, {"rows": Hook(("run",), returns.metric_rows)}),
+    )
+}
 """Every kind of choice, by name."""
 
 SECTIONS = {kind.section: kind for kind in KINDS.values() if kind.section}

@@ -109,7 +109,7 @@ def nothing(call: Call, returned: Any) -> None:
 
 def pseudonym_changes(call: Call, returned: Any) -> Bool[ndarray, "e"]:
     """Which vehicles change their pseudonyms."""
-    _column("", returned, (len(call.given[0].age_s),), "b", what="one for each vehicle")
+    _column("", returned, (len(call.given[0].age_s),), "b", "one for each vehicle")
     return detached(returned)
 
 
@@ -244,9 +244,11 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
     s, subject = returned, returned.subject
     given = call.given[0] if call.given else None
     now = call.latest_step if given is None else given
-    is_step = type(s.step) is int or isinstance(s.step, np.integer)
+    is_step = isinstance(s.step, int | np.integer)
+    is_step = is_step and not isinstance(s.step, bool)
     if not is_step or (now is not None and s.step > now):
-        raise Wrong(f"returned step = {s.step!r}", f"the step of the call{'' if now is None else f', {now},'}")
+        due = "" if now is None else f", {now},"
+        raise Wrong(f"returned step = {s.step!r}", f"the step of the call{due}")
     now = int(s.step) if now is None else now
     large = np.finfo(float).max
     _columns(
@@ -268,13 +270,12 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
             "is_evaluated": ("b",),
         },
     )
-    if s.n_evaluators is not None:
-        _columns("", s, len(subject), "one for each (holder, subject)", {"n_evaluators": ("iu", 0, 2**62)})
     if not np.isnan(s.uncertainty[s.is_evaluated]).all():
         unsure = np.where(s.is_evaluated, s.uncertainty, 0.0)
         _none("uncertainty", unsure, ~((unsure >= 0) & (unsure <= 1)), "0 to 1, or NaN in all rows,", subject)
     _none("is_evaluated", s.is_evaluated, s.is_evaluated != (s.n_evaluations > 0), "n_evaluations > 0", subject)
     if s.n_evaluators is not None:
+        _columns("", s, len(subject), "one for each (holder, subject)", {"n_evaluators": ("iu", 0, 2**62)})
         _none("n_evaluators", s.n_evaluators, s.n_evaluators > s.n_evaluations, "0 to n_evaluations", subject)
     all_rows = np.ones(len(subject), bool)
     for what, counts in (("step", all_rows), ("evaluation_step", s.is_evaluated)):
@@ -288,7 +289,7 @@ def trust_scores(call: Call, returned: Any) -> TrustScores:
 
 def object_scores(call: Call, returned: Any) -> ndarray:
     """Scores that a trust model gives to objects."""
-    _column("", returned, (call.given[0].n_groups,), "f", what="one score for each object")
+    _column("", returned, (call.given[0].n_groups,), "f", "one score for each object")
     _within("scores", returned, 0, 1)
     return detached(returned)
 
@@ -318,7 +319,7 @@ def _check_detections(returned: Any, n_world: int) -> None:
             "accuracy_factor": ("f", LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR),
         },
     )
-    _column("velocity_mps", returned.velocity_mps, (n, 2), "f", what="east and north of each detection")
+    _column("velocity_mps", returned.velocity_mps, (n, 2), "f", "east and north of each detection")
 
 
 def phantoms(call: Call, returned: Any) -> Detections:
@@ -368,7 +369,8 @@ def attacked_evaluations(call: Call, returned: Any) -> tuple[ndarray, ndarray]:
         raise Wrong(f"returned {described(returned)}", "a tuple (evaluation, visibility)")
     honest = ~context.attacker[rows.evaluator]
     for name, column, low in zip(("evaluation", "visibility"), returned, (-1, 0), strict=True):
-        _column(name, column, rows.evaluation.shape, "f", low, 1, what="one for each row of rows")
+        _column(name, column, rows.evaluation.shape, "f", "one for each row of rows")
+        _within(name, column, low, 1)
         if not _same(column[honest], getattr(rows, name)[honest]):
             raise Wrong(f"changed the {name} of other vehicles, but only context.attacker[rows.evaluator] may differ")
     return detached(returned)
@@ -377,7 +379,7 @@ def attacked_evaluations(call: Call, returned: Any) -> tuple[ndarray, ndarray]:
 def identities(call: Call, returned: Any) -> ndarray:
     """Number of identities of each actor in addition to its own."""
     n_world = len(call.given[0].world)
-    _column("", returned, (n_world,), "iu", what="one for each actor of the world")
+    _column("", returned, (n_world,), "iu", "one for each actor of the world")
     _within("identities", returned, 0, MOST_IDENTITIES)
     return detached(returned)
 
@@ -412,7 +414,8 @@ def one_each(high: float) -> Callable[[Call, Any], ndarray]:
     """A check of what a detector says of each object: a number from 0 to `high`."""
 
     def checked(call: Call, returned: Any) -> ndarray:
-        _column("", returned, (len(call.given[0]),), "f", 0, high, what="one for each object")
+        _column("", returned, (len(call.given[0]),), "f", "one for each object")
+        _within("", returned, 0, high)
         return detached(returned)
 
     return checked
@@ -507,8 +510,11 @@ def _check_boxes(boxes: Any, n: int | None = None, is_bounded: bool = True) -> i
     _typed("boxes", boxes, Boxes, "build it by Boxes(xyz_m, lwh_m, yaw_rad)")
     n = _length("boxes.xyz_m", boxes.xyz_m) if n is None else n
     for name, width in (("xyz_m", (3,)), ("lwh_m", (3,)), ("yaw_rad", ())):
-        low, high = (0 if name == "lwh_m" else -FARTHEST_M, FARTHEST_M) if is_bounded else (None, None)
-        _column(f"boxes.{name}", getattr(boxes, name), (n, *width), "f", low, high, "one for each box")
+        column, full_name = getattr(boxes, name), f"boxes.{name}"
+        _column(full_name, column, (n, *width), "f", "one for each box")
+        if is_bounded:
+            low = 0 if name == "lwh_m" else -FARTHEST_M
+            _within(full_name, column, low, FARTHEST_M)
     return n
 
 
@@ -529,7 +535,7 @@ def _columns(
     """Check the columns of a dataclass, each with n rows. `expected` has the kinds of dtype and the bounds of each."""
     for name, (kinds, *bounds) in expected.items():
         column, full_name = getattr(value, name), f"{prefix}{name}"
-        _column(full_name, column, (n,), kinds, what=what)
+        _column(full_name, column, (n,), kinds, what)
         if bounds:
             low, high = bounds
             _within(full_name, column, low, high, getattr(value, "subject", None))
@@ -540,18 +546,14 @@ def _column(
     value: Any,
     shape: tuple[int, ...],
     kinds: str,
-    low: float | None = None,
-    high: float | None = None,
-    what: str = "",
+    what: str,
 ) -> None:
-    """Raise `Wrong` if a value is not an array of this shape and these kinds of dtype, within these bounds."""
+    """Raise `Wrong` if a value is not an array of this shape and these kinds of dtype."""
     if type(value) is not ndarray or value.shape != shape or value.dtype.kind not in kinds:
         raise Wrong(
             f"returned {f'{name} as ' if name else ''}{described(value)}",
             f"an array of {_WORDS[kinds]} of shape {shape} ({what})",
         )
-    if low is not None and high is not None:
-        _within(name, value, low, high)
 
 
 def _within(name: str, column: ndarray, low: float, high: float, subject: ndarray | None = None) -> None:

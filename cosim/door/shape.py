@@ -166,7 +166,8 @@ def _check_method(of: type, name: str, due: tuple[str, ...], where: str) -> None
             parameters.remove(own[0])
     if problem := _misfit(parameters, due, exactly=True):
         called = ", ".join(due)
-        raise Refused(f"{where}: {name}({_shown(parameters)}) {problem}: it is called with ({called}). {cure}")
+        shown = _shown(parameters)
+        raise Refused(f"{where}: {name}({shown}) {problem}: it is called with ({called}). {cure}")
 
 
 def _shown(parameters: list[inspect.Parameter]) -> str:

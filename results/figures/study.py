@@ -34,18 +34,20 @@ SHOWN: Mapping[str, tuple[str, ...]] = {
     "encounters": ("encounters.duration.km_median_s",),
     "trust": ("trust.final.median:honest", "trust.final.median:malicious"),
     "misbehaviour": (
-        "misbehaviour.at_lookup.auc:malicious", "misbehaviour.at_lookup.time_to_detection.median_s:malicious",
+        "misbehaviour.at_lookup.auc:malicious",
+        "misbehaviour.at_lookup.time_to_detection.median_s:malicious",
     ),
     "security": ("misbehaviour.at_lookup.auc:malicious", "security.false_exclusions_per_h"),
     "attacks": ("attack.believed.share:0.5, received, malicious",),
     "freshness": (
-        "freshness.newest_evaluation_age.mean_s:all", "freshness.value_age.mean_s:all",
+        "freshness.newest_evaluation_age.mean_s:all",
+        "freshness.value_age.mean_s:all",
         "freshness.lookup_state.share:no value, all",
     ),
     "radio": ("radio.pdr.all",),
     "detection": ("detection.awareness_70m.share:fused",),
     "safety": ("safety.hard_braking.per_km",),
-}  # fmt: skip
+}
 """Metrics that a topic shows unless others are asked for."""
 
 BOUNDS: Mapping[str, str] = {
@@ -248,7 +250,8 @@ def _draw(
             y = _label_of_metric(of_metric, name) if n == 0 else ""
             is_last = row == len(asked) - 1
             letters = max(16, int(15 * (height - 0.65)))
-            style.panel(axes, title, labels[x] if is_last else "", style.fitted(y, letters))
+            x_label = labels[x] if is_last else ""
+            style.panel(axes, title, x_label, style.fitted(y, letters))
             axes.tick_params(labelleft=n == 0, labelbottom=is_last or not are_words(frame[x]))
             _height(axes, of_metric)
             if name.partition(":")[0].endswith(".auc"):

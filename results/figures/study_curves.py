@@ -100,7 +100,9 @@ def draw(
     across = min(2, len(columns))
     hues = distinct(frame[colour]) if colour else [None]
     below = max(0, len(hues) + bool(held_at) - 3)  # a row of panels leaves room for few entries of the legend
-    height = (2.4 if across == 1 else 2.1) + 0.25 * below * (len(columns) <= across)
+    height = 2.4 if across == 1 else 2.1
+    if len(columns) <= across:
+        height += 0.25 * below
     figure, panels = style.sheet(len(columns), height, across)
     longest_s = 0.0
     until_s = float(frame.value_s[np.isfinite(frame.value_s)].max())
@@ -119,7 +121,8 @@ def draw(
         if value is None:
             style.panel(axes, title, x, y)
         else:
-            style.panel(axes, name, x if n + across >= len(columns) else "", "")
+            is_lowest = n + across >= len(columns)
+            style.panel(axes, name, x if is_lowest else "", "")
             axes.tick_params(labelleft=n % across == 0)
         style.share_axis(axes)
         axes.set_xlim(0, max(longest_s, 1.0) * 1.02)

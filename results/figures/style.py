@@ -390,9 +390,9 @@ FLATTEST = 0.3
 """Least ratio of the sides of a map: with equal scales, a narrower one would have no room for its labels."""
 
 
-def map_panel(axes: Axes, title: str, y: str = "North [m]") -> None:
+def map_panel(axes: Axes, title: str) -> None:
     """A panel that shows places from above, in metres; of a single street, more than the street."""
-    panel(axes, title, "East [m]", y)
+    panel(axes, title, "East [m]", "North [m]")
     axes.set_aspect("equal")
     width_m, height_m = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
     axes.set_xlim(_widened(axes.get_xlim(), height_m))

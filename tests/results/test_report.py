@@ -66,6 +66,20 @@ def test_page_of_a_summary_with_a_name_of_markup(tmp_path):
     assert "not in this run: kept from record level full up" in text
 
 
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (12345.0, "m", "12,345 m"),
+        (0.12345, "1", "0.123"),
+        (np.inf, "s", "inf s"),
+        (-np.inf, "", "-inf"),
+        (np.nan, "s", "-"),
+    ],
+)
+def test_values_of_metrics_as_text(value, unit, text):
+    assert report._number(value, unit) == text
+
+
 def test_a_dense_panel_is_a_bitmap_and_the_rest_stays_vector():
     """A circle of 20,001 points, and 100 points."""
     figure, (dense, sparse) = style.sheet(2)

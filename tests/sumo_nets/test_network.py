@@ -79,3 +79,11 @@ def test_a_version_of_a_network_is_read_once(tmp_path):
         found[0].line_m[0, 0] = 1.0
     path.write_text('<net><edge><lane shape="0,0 10,0"/></edge></net>')
     assert lanes(path)[0].line_m.tolist() == [[0, 0, 0], [10, 0, 0]]
+
+
+@pytest.mark.parametrize("shape", ["0,0", "0,0 9", "0,0 nan,0", "0,0 9,east"])
+def test_a_lane_without_a_line_is_named(tmp_path, shape):
+    path = tmp_path / "e.net.xml"
+    path.write_text(f'<net><edge><lane id="a_0" shape="{shape}"/></edge></net>')
+    with pytest.raises(ValueError, match="lane 'a_0' has no line of finite points, or no width"):
+        lanes(path)

@@ -206,9 +206,13 @@ def _without_effect(frame: pd.DataFrame, matter: Sequence[str]) -> list[str]:
 
 def _alone(study: StudyResults, frame: pd.DataFrame) -> str:
     """Values of keys outside of which the metric has no value, such as the share of attackers of an AUC."""
-    frame = chosen(study.measures, [f"{frame.metric.iloc[0]}:{frame.group.iloc[0]}"])
-    varied = apart(study.points, study.keys)
-    only = [_at(study.points, key, frame[key].iloc[0]) for key in varied if frame[key].nunique() == 1]
+    row = frame.iloc[0]
+    frame = chosen(study.measures, [f"{row.metric}:{row.group}"])
+    only = []
+    for key in apart(study.points, study.keys):
+        values = frame[key]
+        if values.nunique() == 1:
+            only.append(_at(study.points, key, values.iloc[0]))
     return f"there is a value at {' and '.join(only)} alone" if only else ""
 
 
@@ -234,10 +238,11 @@ def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
     values = distinct(frame[key])
     shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
     where = "with" if are_words(frame[key]) else "at"
-    places = [_said(frame, key, value) for value in shown]
-    places[0] = f"{_named(frame, key)} {places[0]}"
-    means = [_value(frame[frame[key] == value], of.metric) for value in shown]
-    there = [f"{mean} {where} {place}" for mean, place in zip(means, places, strict=True)]
+    there: list[str] = []
+    for value in shown:
+        mean = _value(frame[frame[key] == value], of.metric)
+        named = "" if there else f"{_named(frame, key)} "
+        there.append(f"{mean} {where} {named}{_said(frame, key, value)}")
     text = _listed(there)
     if len(values) < 2:
         return f"{text}, its only value"
@@ -307,8 +312,7 @@ def _censored(study: StudyResults, of: _Quantity, group: str) -> str:
     open_p = _of_runs(study, "encounters.censored_right.share", group)
     if n.empty or open_p.empty or not of.metric.startswith("encounters.duration."):
         return ""
-    low, high = f"{n.min():,.0f}", f"{n.max():,.0f}"
-    count = low if low == high else f"{low} to {high}"
+    count = _between(f"{n.min():,.0f}", f"{n.max():,.0f}")
     return f"a run has {count} encounters, and {_range(open_p)} of them had not ended when recording ended"
 
 
@@ -340,8 +344,7 @@ def _of_value(study: StudyResults, of: _Quantity) -> str:
     found = _of_runs(study, "freshness.value_age.mean_s", EVERYTHING)
     if found.empty or not _is_age(of) or not found.max() > 0:
         return ""
-    low, high = number(found.min()), number(found.max())
-    span = low if low == high else f"{low} to {high}"
+    span = _between(number(found.min()), number(found.max()))
     return f"{span} s of an age have passed since the server computed the value (trust.server_period_s)"
 
 
@@ -380,9 +383,12 @@ def _in_the_open(study: StudyResults, of: _Quantity) -> str:
 
 def _range(shares: pd.Series) -> str:
     """From the smallest to the largest share, in per cent."""
-    low, high = f"{shares.min():.0%}", f"{shares.max():.0%}"
-    span = low if low == high else f"{low} to {high}"
+    span = _between(f"{shares.min():.0%}", f"{shares.max():.0%}")
     return span.replace("%", " %")
+
+
+def _between(low: str, high: str) -> str:
+    return low if low == high else f"{low} to {high}"
 
 
 def _named(frame: pd.DataFrame, key: str) -> str:

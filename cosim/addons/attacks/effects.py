@@ -101,7 +101,8 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     """, threshold=threshold)  # fmt: skip
     every = interval_steps(run, steps.receiver.to_numpy(np.int64))
     same = ["role", "among", "attacker", "receiver"]
-    steps["begins"] = steps.groupby(same, sort=False).step.diff().isna() | (steps.step.diff() > every)
+    is_first = steps.groupby(same, sort=False).step.diff().isna()
+    steps["begins"] = is_first | (steps.step.diff() > every)
     steps["held_s"] = every * run.dt_s
     of_attacker = steps.groupby(same[:3], sort=False).agg(bottom=("begins", "sum"), top=("held_s", "sum"))
     return by_group(of_attacker.reset_index(), ["role", "among"], ratio, "mean_s")
@@ -143,7 +144,8 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
         SELECT role, among, attacker, receiver, count_if(coalesce(score >= $threshold, false)) AS n
         FROM ghosts GROUP BY ALL ORDER BY among DESC, role, attacker, receiver
     """, threshold=threshold)  # fmt: skip
-    pairs["top"] = pairs.n * interval_steps(run, pairs.receiver.to_numpy(np.int64)) * run.dt_s
+    every = interval_steps(run, pairs.receiver.to_numpy(np.int64))
+    pairs["top"] = pairs.n * every * run.dt_s
     of_attacker = pairs.groupby(["role", "among", "attacker"], sort=False).top.sum().reset_index().assign(bottom=1)
     found = by_group(of_attacker, ["role", "among"], ratio, "per_attacker_s")
     return found.assign(total_s=found.per_attacker_s * found.n)

@@ -23,7 +23,8 @@ def draw(runs: Sequence[Run]) -> Figure:
     """
     variants, titles = style.variants_of(runs)
     columns = min(2, len(variants))
-    figure, panels = style.sheet(len(variants), 1.4 if len(variants) > 4 else 2.0, columns)
+    height = 1.4 if len(variants) > 4 else 2.0
+    figure, panels = style.sheet(len(variants), height, columns)
     names = labels(runs[0])
     if any(labels(run) != names for run in runs[1:]):
         raise ValueError("The runs have different attacks. Draw them one by one.")
@@ -85,7 +86,8 @@ def _panel(axes: Axes, run: Run) -> None:
     for attack in sorted(set(found.attack)):
         one = found[found.attack == attack]
         look = _look(attack) if attack >= 0 else {"color": style.ROLE_INKS[_HONEST]}
-        axes.plot(one.time_s, one["median"], marker="o" if len(one) == 1 else "", **look)
+        marker = "o" if len(one) == 1 else ""
+        axes.plot(one.time_s, one["median"], marker=marker, **look)
     starts = run.vehicles.attack_start_step.dropna()
     if len(starts):
         begin_s = float(starts.min()) * run.dt_s

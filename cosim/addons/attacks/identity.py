@@ -56,19 +56,26 @@ class Sybil(WithParams[SybilParams]):
         attackers = np.flatnonzero(context.attacker)
         number = np.tile(np.arange(p.n_ghosts), len(attackers))
         row = np.repeat(attackers, p.n_ghosts)
+        ahead = -p.spacing_m * (number // 2)
         left = np.where(number % 2 == 0, p.aside_m, -p.aside_m)
-        xyz, yaw = placed(world, row, -p.spacing_m * (number // 2), left, np.zeros(len(row)))
+        xyz, yaw = placed(world, row, ahead, left, np.zeros(len(row)))
         lwh = np.tile(CAR_LWH_M, (len(row), 1))
         xyz[:, 2] = ground_m(world, row) + lwh[:, 2] / 2
         return fabricated(
-            listed, row, np.full(len(row), CAR), Boxes(xyz, lwh, yaw), np.ones(len(row)),
-            identity=number + 1, speed_mps=world.speed_mps[row],
-        )  # fmt: skip
+            listed,
+            row,
+            np.full(len(row), CAR),
+            Boxes(xyz, lwh, yaw),
+            np.ones(len(row)),
+            identity=number + 1,
+            speed_mps=world.speed_mps[row],
+        )
 
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
         """The rows, with the attacker's own ghosts confirmed."""
-        own = context.attacker[rows.evaluator] & (detections.observer[rows.detection] == rows.evaluator)
+        own = detections.observer[rows.detection] == rows.evaluator
+        own &= context.attacker[rows.evaluator]
         own &= self.params.agree & (detections.origin[rows.detection] == FABRICATED)
         return np.where(own, 1.0, rows.evaluation), np.where(own, 1.0, rows.visibility)

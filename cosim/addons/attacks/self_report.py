@@ -18,7 +18,10 @@ def _selves(listed: Detections, chosen: Bool[ndarray, "n"]) -> Int[ndarray, "r"]
 
 
 def _told(
-    listed: Detections, rows: Int[ndarray, "r"], speed_mps: Float[ndarray, "r"], acceleration_mps2: Float[ndarray, "r"]
+    listed: Detections,
+    rows: Int[ndarray, "r"],
+    speed_mps: Float[ndarray, "r"],
+    acceleration_mps2: Float[ndarray, "r"],
 ) -> Detections:
     speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
     speed[rows], acceleration[rows] = speed_mps, acceleration_mps2
@@ -120,8 +123,9 @@ class Stop(WithParams[StopParams]):
         stands = (per_actor(context, "stands", now, 1.0) > 0) & attacker
         pose = per_actor(context, "pose", now, pose)
         rows = _selves(listed, stands)
-        who = listed.observer[rows]
+        own = pose[listed.observer[rows]]
         xyz, yaw = listed.boxes.xyz_m.copy(), listed.boxes.yaw_rad.copy()
-        xyz[rows], yaw[rows] = pose[who, :3], pose[who, 3]
+        xyz[rows] = own[:, :3]
+        yaw[rows] = own[:, 3]
         held = replace(listed, boxes=replace(listed.boxes, xyz_m=xyz, yaw_rad=yaw))
         return _told(held, rows, np.zeros(len(rows)), np.zeros(len(rows)))

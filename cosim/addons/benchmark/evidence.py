@@ -68,7 +68,9 @@ TABLES: Mapping[str, EvidenceTable] = {
     "detections": EvidenceTable(
         "Detections as transmitted.",
         {
-            "step": _key(_STEP), "observer": _key(_PSEUDONYM), "detection_index": _key("Number within the message."),
+            "step": _key(_STEP),
+            "observer": _key(_PSEUDONYM),
+            "detection_index": _key("Number within the message."),
             "score": EvidenceColumn("int8", "%", "Score of the detection."),
         },
         3,
@@ -76,7 +78,8 @@ TABLES: Mapping[str, EvidenceTable] = {
     "reports": EvidenceTable(
         "Messages with evaluations.",
         {
-            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM),
+            "step": _key(_STEP),
+            "evaluator": _key(_PSEUDONYM),
             "arrival_step": _key("Step at whose beginning the trust server has it; -1 if it is lost."),
         },
         2,
@@ -84,7 +87,8 @@ TABLES: Mapping[str, EvidenceTable] = {
     "evaluations": EvidenceTable(
         "Evaluations as transmitted, of detections that the evaluator could see or claims to.",
         {
-            "step": _key(_STEP), "evaluator": _key(_PSEUDONYM),
+            "step": _key(_STEP),
+            "evaluator": _key(_PSEUDONYM),
             "detection_step": _key("Step of the message with the detection."),
             "observer": _key("Sender of the detection."),
             "detection_index": _key("Number within the observer's message."),
@@ -96,7 +100,8 @@ TABLES: Mapping[str, EvidenceTable] = {
     "lookups": EvidenceTable(
         "Messages with evaluations that vehicles use when they sense, and for whose senders they look up trust.",
         {
-            "step": _key("Step of the look-up."), "receiver": _key("Pseudonym of the vehicle that looks up."),
+            "step": _key("Step of the look-up."),
+            "receiver": _key("Pseudonym of the vehicle that looks up."),
             "sender": _key("Pseudonym whose trust is looked up."),
             "message_step": _key("Step of the sender's message."),
             "broadcast_step": _key("Step of the newest broadcast that the receiver has; -1 for none."),
@@ -112,7 +117,7 @@ TABLES: Mapping[str, EvidenceTable] = {
         },
         1,
     ),
-}  # fmt: skip
+}
 _DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
 _BITS = {"step": 12, "detection_step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
@@ -252,9 +257,13 @@ class EvidenceSet:
         folder.mkdir(parents=True, exist_ok=True)
         for name in TABLES:
             pq.write_table(
-                pa.table(dict(self.tables[name])), folder / f"{name}.parquet", compression="zstd",
-                compression_level=19, use_dictionary=False, column_encoding="DELTA_BINARY_PACKED",
-            )  # fmt: skip
+                pa.table(dict(self.tables[name])),
+                folder / f"{name}.parquet",
+                compression="zstd",
+                compression_level=19,
+                use_dictionary=False,
+                column_encoding="DELTA_BINARY_PACKED",
+            )
         text = json.dumps(self._head() | {"sha256": self.checksum}, indent=1)
         (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
 

@@ -222,9 +222,14 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
 
 
 def _fill(
-    trust: ndarray, age_s: ndarray, asked: Rows, rows: Int[ndarray, "k"], scores: TrustScores, holder: ndarray,
+    trust: ndarray,
+    age_s: ndarray,
+    asked: Rows,
+    rows: Int[ndarray, "k"],
+    scores: TrustScores,
+    holder: ndarray,
     dt_s: float,
-) -> None:  # fmt: skip
+) -> None:
     """Write the values of these look-ups that rest on an evaluation."""
     sender = asked["sender"][rows].astype(np.int64)
     at, known = scores.rows_of(holder.astype(np.int64), sender)

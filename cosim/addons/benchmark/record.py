@@ -1,6 +1,6 @@
 """Records the evidence set of the benchmark: every world is simulated once, with all attacks beside each other."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from cosim.addons.benchmark.evidence import (
 from cosim.config.config import Config, resolve_data
 from cosim.runs import run as running
 from cosim.runs.check import check
-from cosim.runs.drive import warm_up
+from cosim.runs.drive import Advance, warm_up
 from cosim.step.cycle import step
 from cosim.step.parts import Parts
 from cosim.step.perception import BoxAnswers, BoxQuestions, Observed, Perception
@@ -41,9 +41,20 @@ from trust.tables import ReceivedEvaluations, TrustScores
 VERSION = "4"
 """Raise it with every change of the content of the shipped set."""
 ATTACKS = (
-    "ghost_insertion", "approaching_ghost", "sybil", "replay", "offset", "mirror", "removal", "speed", "bad_mouthing",
-    "ballot_stuffing", "collusion", "random_evaluations", "trust_flip",
-)  # fmt: skip
+    "ghost_insertion",
+    "approaching_ghost",
+    "sybil",
+    "replay",
+    "offset",
+    "mirror",
+    "removal",
+    "speed",
+    "bad_mouthing",
+    "ballot_stuffing",
+    "collusion",
+    "random_evaluations",
+    "trust_flip",
+)
 """The attacks of the study `attacks`, with their default parameters."""
 CITIES = ("helsinki", "koenigs-wusterhausen", "adlershof")
 SEEDS = (1001, 1002)
@@ -56,12 +67,15 @@ SHARE_P = 0.1
 """Share of attackers among the equipped vehicles."""
 _TRUST = TrustParams(freshness_s=30.0)
 RULES = EvidenceRules(
-    dt_s=0.2, n_steps=400, start_step=100, server_period_s=_TRUST.server_period_s, eta=eta_of(_TRUST),
-    freshness_s=30.0, cases=(HONEST, *ATTACKS),
-)  # fmt: skip
+    dt_s=0.2,
+    n_steps=400,
+    start_step=100,
+    server_period_s=_TRUST.server_period_s,
+    eta=eta_of(_TRUST),
+    freshness_s=30.0,
+    cases=(HONEST, *ATTACKS),
+)
 """Rules of the shipped set: times, window and shares are those of the study `attacks`, and 10 % attack."""
-
-Advance = Callable[[str, int, int, str], None]
 
 
 class Tape:
@@ -82,19 +96,27 @@ class Tape:
         """Keep what was transmitted."""
         self.step = step
         self.present.append(_present(step, pseudonyms))
-        self.opened.append({
-            "step": np.full(len(score), step), "observer": pseudonyms[observer_row],
-            "detection_index": detection_index, "score": _percent(score),
-        })  # fmt: skip
+        self.opened.append(
+            {
+                "step": np.full(len(score), step),
+                "observer": pseudonyms[observer_row],
+                "detection_index": detection_index,
+                "score": _percent(score),
+            }
+        )
 
     def add_evaluations(self, received: ReceivedEvaluations) -> None:
         """Keep who evaluated. The server processes messages before the step begins."""
         messages = received.messages.taken(received.message_row)
         n = len(messages.observer)
-        self.arrived.append({
-            "arrival_step": np.full(n, self.step + 1), "detection_step": np.full(n, messages.step),
-            "evaluator": np.repeat(messages.evaluator, np.diff(messages.ptr)), "observer": messages.observer,
-        })  # fmt: skip
+        self.arrived.append(
+            {
+                "arrival_step": np.full(n, self.step + 1),
+                "detection_step": np.full(n, messages.step),
+                "evaluator": np.repeat(messages.evaluator, np.diff(messages.ptr)),
+                "observer": messages.observer,
+            }
+        )
 
     def scores(self, now_step: int | None = None) -> TrustScores:
         """No scores."""
@@ -208,7 +230,10 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     senders, sent, used = sensed.senders, sensed.evaluated.sent, sensed.looked_up.messages
     says = np.flatnonzero(sent.visibility > 0)
     by = np.repeat(sent.evaluator, np.diff(sent.ptr))[says]
-    of = np.full(len(says), world.step) if sent.detection_step is None else sent.detection_step[says]
+    if sent.detection_step is None:
+        of = np.full(len(says), world.step)
+    else:
+        of = sent.detection_step[says]
     receiver = sensed.sensing.actor[used.receiver]
     vehicle = sensed.vehicles.actor[senders.vehicle]
     attack = np.zeros(int(world.actor.max()) + 1, bool)
@@ -216,16 +241,20 @@ def _rows(sensed: Sensed, world: World, broadcast: Int[ndarray, "capacity"]) -> 
     found = {
         "reports": {"evaluator": np.unique(by)},
         "evaluations": {
-            "evaluator": by, "detection_step": of, "observer": sent.observer[says],
+            "evaluator": by,
+            "detection_step": of,
+            "observer": sent.observer[says],
             "detection_index": sent.detection_index[says],
             "evaluation": _percent(sent.evaluation[says]),
             "visibility": np.maximum(_percent(sent.visibility[says]), 1),
         },
         "lookups": {
-            "receiver": receiver, "sender": sensed.known.pseudonym[used.message],
-            "message_step": sensed.known.step[used.message], "broadcast_step": broadcast[receiver],
+            "receiver": receiver,
+            "sender": sensed.known.pseudonym[used.message],
+            "message_step": sensed.known.step[used.message],
+            "broadcast_step": broadcast[receiver],
         },
-    }  # fmt: skip
+    }
     for name, rows in found.items():
         n = len(next(iter(rows.values())))
         found[name] = {"step": np.full(n, world.step), **rows}
@@ -243,27 +272,41 @@ def numbered(tables: list[dict[str, Rows]]) -> list[EvidenceStream]:
     if len(known) > MOST_PSEUDONYMS:
         raise ValueError(f"{len(known)} pseudonyms in one world: a set holds at most {MOST_PSEUDONYMS}.")
     names = {"observer", "evaluator", "receiver", "sender", "pseudonym", "vehicle"}
-
-    def renamed(rows: Rows) -> Rows:
-        return {c: np.searchsorted(known, values) if c in names else values for c, values in rows.items()}
-
     streams = []
     for of in tables:
-        streams.append(EvidenceStream(**{name: merged(name, renamed(rows)) for name, rows in of.items()}))
+        merged_rows = {}
+        for name, rows in of.items():
+            pseudonyms = {c: np.searchsorted(known, rows[c]) for c in rows if c in names}
+            merged_rows[name] = merged(name, {**rows, **pseudonyms})
+        streams.append(EvidenceStream(**merged_rows))
     return streams
 
 
 def config_of(place: EvidencePlace, rules: EvidenceRules, attack: str) -> Config:
     """The config of a case of a world."""
     section = {"attack": attack, "share_p": SHARE_P, "start_s": rules.start_step * rules.dt_s}
-    return resolve_data({
-        "preset": "modern", "seed": place.seed, "traffic": {
-            "scenario": place.city, "seed": place.seed, "step_s": rules.dt_s, "duration_s": rules.n_steps * rules.dt_s,
+    return resolve_data(
+        {
+            "preset": "modern",
+            "seed": place.seed,
+            "traffic": {
+                "scenario": place.city,
+                "seed": place.seed,
+                "step_s": rules.dt_s,
+                "duration_s": rules.n_steps * rules.dt_s,
+            },
+            "fleet": {"penetration_p": place.penetration_p},
+            "encounters": [{}],
+            "attacks": [section],
+            "trust": {
+                "model": f"{__name__}:Tape",
+                "freshness_s": rules.freshness_s,
+                "server_period_s": rules.server_period_s,
+            },
         },
-        "fleet": {"penetration_p": place.penetration_p}, "encounters": [{}], "attacks": [section],
-        "trust": {"model": f"{__name__}:Tape", "freshness_s": rules.freshness_s,
-                  "server_period_s": rules.server_period_s},
-    }, "the benchmark", None)  # fmt: skip
+        "the benchmark",
+        None,
+    )
 
 
 def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[Case]:

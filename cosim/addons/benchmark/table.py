@@ -31,7 +31,8 @@ def digest() -> str:
 
 def code_files() -> list[Path]:
     """Files of that code: trust models, playing and scoring."""
-    rooms = {Path(str(trust.__file__)).parent, *(Path(inspect.getfile(model)).parent for model in MODELS.values())}
+    rooms = {Path(str(trust.__file__)).parent}
+    rooms |= {Path(inspect.getfile(model)).parent for model in MODELS.values()}
     files = {file for room in rooms for file in room.rglob("*.py")}
     modules = [Path(str(module.__file__)) for module in (play, score, adapt)]
     return [*sorted(files), *modules]
@@ -64,22 +65,35 @@ def row_of(
     except ExtensionError as error:
         raise ValueError(str(error)) from None
     row: Row = {
-        "model": name, "parameters": list(sets), "sha256": found.sha256, "threshold": _plain(found.threshold),
-        "quiet_p": _plain(found.quiet_p), "cost_us": _plain(found.cost_us),
-        "attacks": {attack: _figures(of) for attack, of in found.attacks.items()}, "worst_case": None,
-    }  # fmt: skip
+        "model": name,
+        "parameters": list(sets),
+        "sha256": found.sha256,
+        "threshold": _plain(found.threshold),
+        "quiet_p": _plain(found.quiet_p),
+        "cost_us": _plain(found.cost_us),
+        "attacks": {attack: _figures(of) for attack, of in found.attacks.items()},
+        "worst_case": None,
+    }
     if worst is not None:
         policy = {f.name: getattr(worst.policy, f.name) for f in fields(worst.policy)}
         row["worst_case"] = {
-            "policy": policy, "words": worst.policy.words, "budget": worst.budget, "n_worlds": worst.n_worlds,
-            "seed": worst.seed, **_figures(worst.figures),
-        }  # fmt: skip
+            "policy": policy,
+            "words": worst.policy.words,
+            "budget": worst.budget,
+            "n_worlds": worst.n_worlds,
+            "seed": worst.seed,
+            **_figures(worst.figures),
+        }
     return row
 
 
 def _figures(of: score.Figures) -> dict[str, list[float | None]]:
     """Value, low and high of each figure."""
-    return {f.name: [_plain(value) for value in getattr(of, f.name)[:3]] for f in fields(of)}
+    found = {}
+    for one in fields(of):
+        interval = getattr(of, one.name)[:3]
+        found[one.name] = list(map(_plain, interval))
+    return found
 
 
 def _plain(value: float) -> float | None:
@@ -93,9 +107,12 @@ def head(evidence: EvidenceSet) -> dict[str, str]:
 
 
 def make(
-    evidence: EvidenceSet, folder: Path, advance: score.Advance, models: Mapping[str, type] = MODELS,
+    evidence: EvidenceSet,
+    folder: Path,
+    advance: score.Advance,
+    models: Mapping[str, type] = MODELS,
     budget: int = BUDGET,
-) -> None:  # fmt: skip
+) -> None:
     """Score all models that ship, and store each row in the folder of the set. Rows of this set and code are kept.
 
     The models `raya_*` have the trust in vehicles of `beta`: they differ in how they score objects, and are left out.
@@ -103,8 +120,8 @@ def make(
     about = head(evidence)
     known, remark = stored(evidence, folder)
     rows = [] if remark else list(known)
-    for name in (name for name in models if not name.startswith("raya_")):
-        if name not in {row["model"] for row in rows}:
+    for name in models:
+        if not name.startswith("raya_") and name not in {row["model"] for row in rows}:
             rows.append(row_of(evidence, name, (), advance, budget))
             write_output(folder / TABLE, (json.dumps({**about, "rows": rows}, indent=1) + "\n").encode())
 
@@ -130,12 +147,15 @@ def stored(evidence: EvidenceSet, folder: Path = SHIPPED) -> tuple[list[Row], st
 
 def _checked(row: Row) -> Row:
     """A stored row; KeyError, TypeError or ValueError if it is none."""
-    worst = row["worst_case"]
-    for of in (*row["attacks"].values(), *([] if worst is None else [worst])):
-        for name in (f.name for f in fields(score.Figures)):
-            interval = of[name]
-            if len(interval) != 3 or not all(isinstance(x, int | float | None) for x in interval):
-                raise ValueError(name)
+    every = list(row["attacks"].values())
+    if row["worst_case"] is not None:
+        every.append(row["worst_case"])
+    for of in every:
+        for one in fields(score.Figures):
+            value, low, high = of[one.name]
+            for number in (value, low, high):
+                if not isinstance(number, int | float | None):
+                    raise ValueError(one.name)
     if not row["attacks"] or not isinstance(row["model"], str):
         raise ValueError("model, attacks")
     if not isinstance(row["cost_us"], int | float | None):
@@ -145,7 +165,10 @@ def _checked(row: Row) -> Row:
 
 def worst_attack(row: Row) -> str:
     """The attack with the smallest AUC."""
-    return min(row["attacks"], key=lambda name: _or(row["attacks"][name]["auc"][0], math.inf))
+    auc = {}
+    for attack, of in row["attacks"].items():
+        auc[attack] = _or(of["auc"][0], math.inf)
+    return min(auc, key=lambda attack: auc[attack])
 
 
 def summary(row: Row) -> dict[str, float | None]:
@@ -160,10 +183,14 @@ def summary(row: Row) -> dict[str, float | None]:
 
     auc, wrong = column("auc"), column("wrong_p")
     return {
-        "auc_worst": min(auc, default=None), "auc_mean": mean(auc), "wrong_worst": max(wrong, default=None),
-        "believed_mean": mean(column("believed_p")), "harm_worst": max(column("harm"), default=None),
-        "age_mean_s": mean(column("age_s")), "never_excluded": sum(one["exclusion_s"][0] is None for one in of),
-    }  # fmt: skip
+        "auc_worst": min(auc, default=None),
+        "auc_mean": mean(auc),
+        "wrong_worst": max(wrong, default=None),
+        "believed_mean": mean(column("believed_p")),
+        "harm_worst": max(column("harm"), default=None),
+        "age_mean_s": mean(column("age_s")),
+        "never_excluded": sum(one["exclusion_s"][0] is None for one in of),
+    }
 
 
 def ranked(rows: Sequence[Row]) -> list[Row]:

@@ -76,7 +76,8 @@ def compare(
 
 def _list(facts: "Sequence[Fact]", as_json: bool) -> None:
     if as_json:
-        print_json([{"id": f.id, "group": f.group, "quantity": f.quantity, "source": f.source} for f in facts])
+        keys = "id", "group", "quantity", "source"
+        print_json([{key: getattr(fact, key) for key in keys} for fact in facts])
         return
     table = Table(Column("fact", no_wrap=True), "quantity", "source", box=SIMPLE)
     for fact in facts:

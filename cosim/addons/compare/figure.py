@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy import ndarray
 
@@ -39,11 +39,11 @@ def draw(panels: Sequence[Panel]) -> Figure:
     figure, axes = style.sheet(len(panels), 1.4)
     for one, ax in zip(panels, axes, strict=True):
         _draw(ax, one)
-    style.legend(figure, [
-        Patch(facecolor=style.PALE, alpha=0.6, label="published, with its band"),
-        *(Line2D([], [], color=_OUR_INK.get(verdict, _OFF), marker="o", linestyle="", label=f"ours: {verdict}")
-          for verdict in ("agrees", "undecided", "differs")),
-    ])  # fmt: skip
+    entries: list[Artist] = [Patch(facecolor=style.PALE, alpha=0.6, label="published, with its band")]
+    for verdict in "agrees", "undecided", "differs":
+        colour = _OUR_INK.get(verdict, _OFF)
+        entries.append(style.entry(f"ours: {verdict}", color=colour, marker="o", linestyle=""))
+    style.legend(figure, entries)
     return figure
 
 
@@ -63,7 +63,15 @@ def _draw(ax: Axes, one: Panel) -> None:
     above = np.where(np.isfinite(high), high - ours, 0.0)
     whiskers = np.array([below, above])
     colour = _OUR_INK.get(one.verdict, _OFF)
-    ax.errorbar(place[there], ours[there], whiskers[:, there], fmt="o", color=colour, capsize=3, linewidth=1.2)
+    ax.errorbar(
+        place[there],
+        ours[there],
+        whiskers[:, there],
+        fmt="o",
+        color=colour,
+        capsize=3,
+        linewidth=1.2,
+    )
     style.panel(ax, one.title, "", one.unit)
     ax.set_xticks(place, [at.replace(", ", ",\n") for at in one.at], fontsize=style.SMALLEST)
     ax.set_xlim(-0.6, len(place) - 0.4)

@@ -11,8 +11,9 @@ from cosim import __version__
 from cosim.addons.compare import figure as pictures
 from cosim.addons.compare.facts import ComparedFact, Fact, Measured
 from cosim.addons.compare.measures import measured
-from cosim.addons.compare.runs import Advance, GivenRuns, PlannedRuns
+from cosim.addons.compare.runs import GivenRuns, PlannedRuns
 from cosim.base import durable
+from cosim.runs.drive import Advance
 from results.figures import style
 from results.report import STYLE
 

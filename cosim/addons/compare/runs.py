@@ -1,7 +1,7 @@
 """The runs in which facts are measured: made when a fact first needs them, or given by the user."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,9 @@ from cosim.addons.compare.facts import RunPlan
 from cosim.config.changes import as_toml
 from cosim.config.config import Config, load
 from cosim.runs import run as running
+from cosim.runs.drive import Advance
 from results.archive import open_run
 from results.run import Run
-
-Advance = Callable[[str, int, int, str], None]
-"""Called with what is done, how much of it, how much there is, and a note."""
 
 DEFAULT_WORLD = "preset=modern"
 """The world in which facts are measured unless their conditions change it."""
@@ -96,9 +94,10 @@ class GivenRuns:
         found: dict[str, None] = {}
         for key in (text.partition("=")[0] for text in plan.sets):
             wanted = as_toml(_at(planned, key))
-            for given in sorted({as_toml(_at(run.config, key)) for run in self.runs} - {wanted}):
+            given = {as_toml(_at(run.config, key)) for run in self.runs}
+            for other in sorted(given - {wanted}):
                 if key not in _THRIFT:
-                    found[f"{key} = {given}, not {wanted}"] = None
+                    found[f"{key} = {other}, not {wanted}"] = None
         return list(found)
 
 

@@ -47,13 +47,17 @@ class ScriptedDetector:
     score: Float[ndarray, "d"]
 
     def detect(
-        self, sweeps: Sweeps, seen: Observability, boxes: Boxes, label: UInt8[ndarray, "n"], draws: DetectorDraws
+        self,
+        sweeps: Sweeps,
+        seen: Observability,
+        boxes: Boxes,
+        label: UInt8[ndarray, "n"],
+        draws: DetectorDraws,
     ) -> Reports:
         """These reports, in every step."""
-        return Reports(
-            self.observer, label[self.actor], boxes.take(self.actor), self.score, self.actor,
-            np.zeros(len(self.actor), bool),
-        )  # fmt: skip
+        is_false = np.zeros(len(self.actor), bool)
+        actor = self.actor
+        return Reports(self.observer, label[actor], boxes.take(actor), self.score, actor, is_false)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,8 @@ class ScriptedScene:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
         names, actors = list(data["actors"]), list(data["actors"].values())
         lwh_m = np.array([a["lwh_m"] for a in actors])
-        xyz_m = np.column_stack([[a["xy_m"] for a in actors], lwh_m[:, 2] / 2])
+        xy_m = [a["xy_m"] for a in actors]
+        xyz_m = np.column_stack([xy_m, lwh_m[:, 2] / 2])
         equipped = np.array(["scores" in a for a in actors])
         scores = []
         for observer, row in enumerate(np.flatnonzero(equipped)):
@@ -150,10 +155,12 @@ def _fused_scores(sensed: Sensed) -> dict[str, float]:
     fused, listed = sensed.fused[0], sensed.listed.objects
     assert fused is not None
     foreign = fused.take((fused.ego == EGO) & ~fused.ego_detected)
-    return {
-        "false car" if listed.origin[seed] == FABRICATED else LABELS[listed.label[seed]]: float(score)
-        for seed, score in zip(foreign.seed, foreign.score, strict=True)
-    }
+    found = {}
+    for seed, score in zip(foreign.seed, foreign.score, strict=True):
+        is_false = listed.origin[seed] == FABRICATED
+        thing = "false car" if is_false else LABELS[listed.label[seed]]
+        found[thing] = float(score)
+    return found
 
 
 def scenario_2(*, ghosts: str, at: Sequence[tuple[str, int]]) -> list[float]:
@@ -169,6 +176,13 @@ def scenario_2(*, ghosts: str, at: Sequence[tuple[str, int]]) -> list[float]:
     scene = ScriptedScene.load()
     config = load(FOLDER / "scenario-2.toml", [f"attacks.0.ghosts={ghosts}"])
     # the server computes trust at the start of a frame, from the frames before it
-    frames = scene.play(config, max(frame for _, frame in at) + 1)
-    trust = np.array([one.trust for sensed in frames if (one := sensed.published[0]) and len(one.subject)])
-    return [float(trust[frame - 1, scene.names.index(name)]) for name, frame in at]
+    trust = []
+    for sensed in scene.play(config, max(frame for _, frame in at) + 1):
+        published = sensed.published[0]
+        if published and len(published.subject):
+            trust.append(published.trust)
+    found = []
+    for name, frame in at:
+        row = scene.names.index(name)
+        found.append(float(trust[frame - 1][row]))
+    return found

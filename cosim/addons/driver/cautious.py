@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.addons.driver.lane_path import ahead_on_path
 from cosim.base import rng
+from cosim.base.plane import ahead_of
 from cosim.base.ragged import differs_from_last, expand
 from cosim.base.rows import Rows
 from cosim.traffic.driver import Beliefs, Reasons, SpeedCommands
@@ -318,7 +319,7 @@ def _possible(
     velocity_mps: Float[ndarray, "n 2"], yaw_rad: Float[ndarray, "n"], is_person: Bool[ndarray, "n"]
 ) -> Float[ndarray, "n 2"]:
     """Velocities without their impossible part: vehicles drive forward, and persons are not faster than they run."""
-    heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
+    heading = ahead_of(yaw_rad)
     along_mps = np.sum(velocity_mps * heading, axis=1)
     forward_mps = np.clip(along_mps, 0, _FASTEST_MPS)
     pace_mps = np.maximum(np.hypot(*velocity_mps.T), 1e-9)

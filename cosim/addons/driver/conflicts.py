@@ -59,6 +59,11 @@ def tracks(run: Run) -> pd.DataFrame:
     return run.sql(_TRACKS, parked=PARKED)
 
 
+def driven_km(poses: pd.DataFrame, run: Run) -> float:
+    """Distance that vehicles drove, of the speeds in some of their poses."""
+    return float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
+
+
 def following(run: Run, poses: pd.DataFrame | None = None, range_m: float = RANGE_M) -> pd.DataFrame:
     """Every vehicle's leader in every step, up to a gap of `range_m`.
 
@@ -147,12 +152,14 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     in_j = _half_m(ways, j, i) * run.dt_s / ways.long_m[j]
     i_first = at_i <= at_j
     actor_i, actor_j = ways.actor[i], ways.actor[j]
-    frame = pd.DataFrame({
-        "first": np.where(i_first, actor_i, actor_j),
-        "second": np.where(i_first, actor_j, actor_i),
-        "time_s": np.where(i_first, at_j - in_j, at_i - in_i),
-        "pet_s": np.abs(at_j - at_i) - in_i - in_j,
-    })  # fmt: skip
+    frame = pd.DataFrame(
+        {
+            "first": np.where(i_first, actor_i, actor_j),
+            "second": np.where(i_first, actor_j, actor_i),
+            "time_s": np.where(i_first, at_j - in_j, at_i - in_i),
+            "pet_s": np.abs(at_j - at_i) - in_i - in_j,
+        }
+    )
     frame = frame[frame.pet_s <= _PET_S].sort_values(["pet_s", "first", "second"], kind="stable")
     two = pd.DataFrame(np.sort(frame[["first", "second"]].to_numpy(), axis=1))
     frame = frame[~two.duplicated().to_numpy()]
@@ -237,8 +244,8 @@ def _half_m(ways: _Ways, row: ndarray, other: ndarray) -> Float[ndarray, "p"]:
     return (ways.length_m[row] + slanted_m) / 2
 
 
-def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) -> pd.DataFrame:
-    """Pairs of vehicles whose footprints are in each other by more than `depth_m`, one of them moving: a, b, step.
+def overlaps(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Pairs of vehicles whose footprints are in each other by more than 0.3 m, one of them moving: a, b, step.
 
     Notes
     -----
@@ -256,7 +263,7 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None, depth_m: float = 0.3) 
         close &= _on_one_road(at["ground_m"], i, j)
         i, j = i[close], j[close]
         fastest_mps = np.maximum(at["speed_mps"][i], at["speed_mps"][j])
-        hit = (_depth(at, xy, i, j) > depth_m) & (fastest_mps > 0.5)
+        hit = (_depth(at, xy, i, j) > 0.3) & (fastest_mps > 0.5)
         i, j = i[hit], j[hit]
         actor, step = at["actor"], at["step"][i]
         lower = np.minimum(actor[i], actor[j])

@@ -15,9 +15,12 @@ from results.run import Run
 
 _INKS = {"ghost": style.ROLE_INKS["malicious"], "false positive": style.INKS[3], "real": style.INKS[0]}
 _COUNTS = {
-    "hard_braking.per_km": "hard braking", "emergency_braking.per_km": "emergency\nbraking",
-    "ttc.per_km": "time to\ncollision < 3 s", "pet.per_km": "post-encroach-\nment < 2 s", "stops.per_km": "stops",
-}  # fmt: skip
+    "hard_braking.per_km": "hard braking",
+    "emergency_braking.per_km": "emergency\nbraking",
+    "ttc.per_km": "time to\ncollision < 3 s",
+    "pet.per_km": "post-encroach-\nment < 2 s",
+    "stops.per_km": "stops",
+}
 
 
 @style.styled
@@ -84,6 +87,7 @@ def _causes(axes: Axes, runs: Sequence[Run]) -> set[str]:
             bottom += row.per_km
             there |= {row.kind} if row.n else set()
     axes.set_xlim(left=0)
-    axes.set_yticks(range(len(runs)), style.names(runs) if len(runs) > 1 else [""])
+    names = style.names(runs) if len(runs) > 1 else [""]
+    axes.set_yticks(range(len(runs)), names)
     axes.set_ylim(len(runs) - 0.3, -0.7)
     return there

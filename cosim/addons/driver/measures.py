@@ -7,7 +7,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray
 
-from cosim.addons.driver.conflicts import begins, following, overlaps, tracks
+from cosim.addons.driver.conflicts import begins, driven_km, following, overlaps, tracks
 from cosim.addons.driver.safety import stops
 from cosim.messages.cpm_generation import FASTER_MPS, INTERVAL_S, MOVED_M, TURNED_RAD
 from results.run import Run
@@ -39,7 +39,7 @@ def sudden_slowing(run: Run, *, drop_mps: float) -> list[float]:
     slower_mps = speed[:-lag] - speed[lag:]
     drop[lag:] = np.where(is_same, slower_mps, 0.0)
     n = begins(drop >= drop_mps, drop < drop_mps / 2, actor).sum()
-    return [1000 * n / _km(poses, run)]
+    return [1000 * n / driven_km(poses, run)]
 
 
 def mild_braking(run: Run, *, begin_mps2: float, limit_mps2: float) -> list[float]:
@@ -82,7 +82,7 @@ def steady_headway(
 def overlapping(run: Run) -> list[float]:
     """Pairs of vehicles that overlap by more than 0.3 m, per million km of all vehicles."""
     poses = tracks(run)
-    return [1e6 * len(overlaps(run, poses)) / _km(poses, run)]
+    return [1e6 * len(overlaps(run, poses)) / driven_km(poses, run)]
 
 
 def cam_interval(run: Run) -> list[float]:
@@ -106,10 +106,6 @@ def _cars(run: Run, vehicle_class: str = "car") -> pd.DataFrame:
     poses = tracks(run)
     poses = poses[poses.actor.isin(_cars_of(run, vehicle_class))].sort_values(["actor", "step"], kind="stable")
     return poses.reset_index(drop=True)
-
-
-def _km(poses: pd.DataFrame, run: Run) -> float:
-    return float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
 
 
 def _peaks(run: Run) -> Float[ndarray, "s"]:
@@ -138,8 +134,10 @@ def _cam_intervals_s(run: Run) -> Float[ndarray, "n"]:
     for now in poses_of_step:
         since += 1
         x, y, turn, faster = now - sent
-        turned = np.abs((turn + np.pi) % (2 * np.pi) - np.pi) > TURNED_RAD
-        changed = (np.hypot(x, y) > MOVED_M) | turned | (np.abs(faster) > FASTER_MPS)
+        turn = (turn + np.pi) % (2 * np.pi) - np.pi
+        changed = np.hypot(x, y) > MOVED_M
+        changed |= np.abs(turn) > TURNED_RAD
+        changed |= np.abs(faster) > FASTER_MPS
         due = np.isfinite(x) & (changed | (since >= wait))
         found.append(since[due])
         by_time[due] = np.where(changed, 0, by_time + 1)[due]

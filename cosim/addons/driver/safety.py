@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from cosim.addons.driver.conflicts import begins, encroachments, following, held, overlaps, tracks
+from cosim.addons.driver.conflicts import begins, driven_km, encroachments, following, held, overlaps, tracks
 from cosim.base.codes import OBJECT, PARKED
 from cosim.base.ragged import differs_from_last, expand, rows_of
 from results.run import Run
@@ -89,10 +89,19 @@ def reactions(run: Run) -> pd.DataFrame:
     rows = rows.sort_values(["vehicle", "kind", "step"])
     is_other = (rows.vehicle.diff() != 0) | (rows.kind != rows.kind.shift())
     is_later = rows.step.diff() * run.dt_s > 1.0
-    return rows.groupby((is_other | is_later).cumsum()).agg(
-        vehicle=("vehicle", "first"), step=("step", "first"), end_step=("step", "last"), kind=("kind", "first"),
-        gap_m=("gap_m", "first"), deceleration_mps2=("deceleration_mps2", "max"), taken_mps=("taken_mps", "sum"),
-    ).sort_values(["vehicle", "step"], ignore_index=True)  # fmt: skip
+    return (
+        rows.groupby((is_other | is_later).cumsum())
+        .agg(
+            vehicle=("vehicle", "first"),
+            step=("step", "first"),
+            end_step=("step", "last"),
+            kind=("kind", "first"),
+            gap_m=("gap_m", "first"),
+            deceleration_mps2=("deceleration_mps2", "max"),
+            taken_mps=("taken_mps", "sum"),
+        )
+        .sort_values(["vehicle", "step"], ignore_index=True)
+    )
 
 
 def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
@@ -118,7 +127,8 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     steps = steps.assign(key=keys).sort_values("key")
     key, xy_m = steps.key.to_numpy(), steps[["x_m", "y_m"]].to_numpy()
     vehicle, first = causes.vehicle.to_numpy(np.int64), causes.step.to_numpy()
-    n, length_m = np.zeros(len(first), int), np.zeros(len(first))
+    n = np.zeros(len(first), int)
+    length_m = np.zeros(len(first))
     wave, member = np.zeros(0, int), np.zeros(0, np.int64)  # who takes part in which wave, by member
     lasts = int(WAVE_S / run.dt_s)
     for step in np.unique(at["step"]).tolist():
@@ -148,15 +158,19 @@ def waves(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
 def summary(run: Run) -> pd.Series:
     """Values of the metrics `safety.*` that have no group, by name: counts per vehicle-kilometre, distance and time."""
     poses = tracks(run)
-    km = float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
+    km = driven_km(poses, run)
     events = braking(run, poses).severity.value_counts()
     pairs, crossing = conflicts(run, poses), encroachments(run, poses)
     near = (pairs.ttc_s < NEAR_MISS_S).sum() + (crossing.pet_s < NEAR_MISS_S).sum()
     counts = {
-        "hard_braking": events.get("hard", 0), "emergency_braking": events.get("emergency", 0),
-        "ttc": (pairs.ttc_s < TTC_S).sum(), "drac": (pairs.drac_mps2 > DRAC_MPS2).sum(),
-        "pet": (crossing.pet_s < PET_S).sum(), "near_misses": near, "stops": len(stops(run, poses)),
-    }  # fmt: skip
+        "hard_braking": events.get("hard", 0),
+        "emergency_braking": events.get("emergency", 0),
+        "ttc": (pairs.ttc_s < TTC_S).sum(),
+        "drac": (pairs.drac_mps2 > DRAC_MPS2).sum(),
+        "pet": (crossing.pet_s < PET_S).sum(),
+        "near_misses": near,
+        "stops": len(stops(run, poses)),
+    }
     found = {"driven_km": km, "collisions.n": float(len(overlaps(run, poses)))}
     if km > 0:
         found["travel_time.s_per_km"] = _driving_s(run) / km
@@ -185,18 +199,24 @@ def by_kind(run: Run) -> pd.DataFrame:
     if run.config.get("driver", {}).get("model", "none") == "none":
         return pd.DataFrame(columns=["kind", "n", "per_km"])
     poses = tracks(run)
-    km = float(poses.speed_mps.astype(float).sum()) * run.dt_s / 1000
+    km = driven_km(poses, run)
     episodes, behind = reactions(run), waves(run, poses)
     rows = []
     for kind in KINDS:
         own = episodes[episodes.kind == kind]
         wave = behind[behind.kind == kind]
         hard = (own.deceleration_mps2 >= HARD_MPS2).sum()
-        rows.append({
-            "kind": kind, "n": len(own), "per_km": len(own) / km if km else np.nan,
-            "hard_per_km": hard / km if km else np.nan, "taken_mean_mps": own.taken_mps.mean(),
-            "wave_mean_n": wave.n_vehicles.mean(), "wave_mean_m": wave.length_m.mean(),
-        })  # fmt: skip
+        rows.append(
+            {
+                "kind": kind,
+                "n": len(own),
+                "per_km": len(own) / km if km else np.nan,
+                "hard_per_km": hard / km if km else np.nan,
+                "taken_mean_mps": own.taken_mps.mean(),
+                "wave_mean_n": wave.n_vehicles.mean(),
+                "wave_mean_m": wave.length_m.mean(),
+            }
+        )
     return pd.DataFrame(rows)
 
 

@@ -5,7 +5,11 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 
-def sum_of_products(scores: Float[ndarray, "n k"], a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Float[ndarray, "k k"]:
+def sum_of_products(
+    scores: Float[ndarray, "n k"],
+    a: Int[ndarray, "n"],
+    b: Int[ndarray, "n"],
+) -> Float[ndarray, "k k"]:
     """Sum of the products of the scores of any two rows that share an actor [1]_, a row with itself included.
 
     Parameters
@@ -27,7 +31,8 @@ def sum_of_products(scores: Float[ndarray, "n k"], a: Int[ndarray, "n"], b: Int[
     one, other = at_unit[: len(a)], at_unit[len(a) :]
     low, high = np.minimum(one, other), np.maximum(one, other)
     _, pair = np.unique(low * len(units) + high, return_inverse=True)
-    of_unit = np.column_stack([np.bincount(at_unit, np.tile(column, 2)) for column in scores.T])
+    twice_over = np.tile(scores.T, 2)
+    of_unit = np.column_stack([np.bincount(at_unit, column) for column in twice_over])
     of_pair = np.column_stack([np.bincount(pair, column) for column in scores.T])
     twice = of_pair.T @ of_pair  # rows that share both actors are counted for each of them
     values, vectors = np.linalg.eigh(of_unit.T @ of_unit - twice)

@@ -58,7 +58,11 @@ def _weibull() -> Family:
             np.array([0.0, np.log(mean_s)]),
             np.array([-0.5, np.log(median_s)]),
         ],
-        lambda free, p: stats.weibull_min.isf(p, np.exp(free[0]), scale=np.exp(free[1])),
+        lambda free, p: stats.weibull_min.isf(
+            p,
+            np.exp(free[0]),
+            scale=np.exp(free[1]),
+        ),
     )
 
 
@@ -73,7 +77,11 @@ def _log_normal() -> Family:
         log_sf,
         np.exp,
         lambda median_s, mean_s: [np.array([np.log(median_s), 0.0])],
-        lambda free, p: stats.lognorm.isf(p, np.exp(free[1]), scale=np.exp(free[0])),
+        lambda free, p: stats.lognorm.isf(
+            p,
+            np.exp(free[1]),
+            scale=np.exp(free[0]),
+        ),
     )
 
 

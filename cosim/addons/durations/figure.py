@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from cosim.addons.durations.families import FAMILIES
 from cosim.addons.durations.fit import fits
@@ -34,7 +33,8 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
         titles.append(str(named(definition.to_frame().T).iloc[0]))
         for row, what in enumerate(whats):
             sample = of_run(run, what, definition)
-            shown += _curves(panels[2 * row : 2 * row + 2], sample, i, len(runs) == 1)
+            in_row = panels[2 * row : 2 * row + 2]
+            shown += _curves(in_row, sample, i, len(runs) == 1)
     for row, what in enumerate(whats):
         for column, scale in enumerate(("log", "linear")):
             axes = panels[2 * row + column]
@@ -49,19 +49,17 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
             else:
                 axes.text(0.5, 0.5, "too few", transform=axes.transAxes, ha="center", color="#666666")
     figure.suptitle(" / ".join(dict.fromkeys(titles)), fontsize=style.SMALL)
-    names = list(FAMILIES)
-    entries = [
-        Line2D([], [], color=style.ink(i + 1), linestyle=style.dash(i), label=FAMILIES[name].label)
-        for i, name in enumerate(names) if name in shown
-    ]  # fmt: skip
+    entries = []
     if len(runs) == 1:
-        entries.insert(0, Line2D([], [], color=style.INKS[0], marker="o", linestyle="", label="Kaplan-Meier, 95 %"))
-        style.legend(figure, entries)
+        entries.append(style.entry("Kaplan-Meier, 95 %", color=style.INKS[0], marker="o", linestyle=""))
+        for i, (name, family) in enumerate(FAMILIES.items()):
+            if name in shown:
+                look = {"color": style.ink(i + 1), "linestyle": style.dash(i)}
+                entries.append(style.entry(family.label, **look))
     else:
-        style.legend(figure, [
-            Line2D([], [], color=style.ink(i), marker=style.marker(i), label=name)
-            for i, name in enumerate(style.names(runs))
-        ])  # fmt: skip
+        for i, name in enumerate(style.names(runs)):
+            entries.append(style.entry(name, color=style.ink(i), marker=style.marker(i)))
+    style.legend(figure, entries)
     return figure
 
 
@@ -97,12 +95,14 @@ def _curves(panels: Sequence[Axes], sample: Durations, number: int, is_alone: bo
     names, ink = list(FAMILIES), style.ink(number)
     look: dict[str, Any] = {"color": ink, "marker": style.marker(number), "markersize": 3}
     for axes in panels:
-        axes.plot(curve.duration_s, curve.survival, linestyle="", markevery=max(1, len(curve) // 60), **look)
+        every = style.sparse(len(curve), 60)
+        axes.plot(curve.duration_s, curve.survival, linestyle="", markevery=every, **look)
         axes.fill_between(curve.duration_s, curve.low, curve.high, color=ink, alpha=0.2, linewidth=0)
         for one in found if is_alone else found[:1]:
             x_s, survival = tail_curve(sample, one)
             some = survival > 0.3 * float(curve.survival.min())
             family = names.index(one.name)
             colour = style.ink(family + 1) if is_alone else ink
-            axes.plot(x_s[some], survival[some], color=colour, linestyle=style.dash(family), linewidth=1.3)
+            dash = style.dash(family)
+            axes.plot(x_s[some], survival[some], color=colour, linestyle=dash, linewidth=1.3)
     return [one.name for one in found]

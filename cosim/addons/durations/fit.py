@@ -93,7 +93,7 @@ class Fit:
         """
         return len(self.free) * math.log(self.n_ended) - 2 * self.log_likelihood
 
-    def parameters(self, level: float = LEVEL) -> dict[str, tuple[float, float, float]]:
+    def parameters(self) -> dict[str, tuple[float, float, float]]:
         """Value, lower and upper end of the interval of each parameter, by name.
 
         Notes
@@ -109,12 +109,13 @@ class Fit:
            2007.
         """
         values = self.family.natural(self.free).tolist()
-        return {
-            name: (values[i], self._end(i, -1, level), self._end(i, 1, level))
-            for i, name in enumerate(self.family.parameters)
-        }
+        found = {}
+        for i, name in enumerate(self.family.parameters):
+            ends = self._end(i, -1), self._end(i, 1)
+            found[name] = values[i], *ends
+        return found
 
-    def _end(self, i: int, sign: int, level: float) -> float:
+    def _end(self, i: int, sign: int) -> float:
         """End of the interval of a parameter on one side: NaN if not known, the parameter's bound if there is none."""
         k = len(self.free)
         variance, pairs = self.covariance[i, i], self.n_units / 2
@@ -123,7 +124,7 @@ class Fit:
         others = np.delete(np.arange(k), i)
         slope = self.independent[others, i] / self.independent[i, i]  # of the others along the profile
         freedom = pairs - k
-        quantile = stats.t.ppf((1 + level) / 2, freedom)
+        quantile = stats.t.ppf((1 + LEVEL) / 2, freedom)
         half = quantile * math.sqrt(variance * pairs / freedom)
         fall = half**2 / self.independent[i, i] / 2
 
@@ -290,13 +291,15 @@ def _covariances(
     def at(shift: ndarray) -> Float[ndarray, "m"]:
         return _log_likelihoods(family, rows, free + shift)
 
-    scores = np.column_stack([(at(step) - at(-step)) / (2 * _STEP) for step in steps])
+    slopes = [at(step) - at(-step) for step in steps]
+    scores = np.column_stack(slopes) / (2 * _STEP)
     hessian = np.empty((k, k))
     for i in range(k):
         for j in range(i + 1):
             both = steps[i] + steps[j]
             apart = steps[i] - steps[j]
-            second = at(both) - at(apart) - at(-apart) + at(-both)
+            mixed = at(both) - at(apart) - at(-apart)
+            second = mixed + at(-both)
             curvature = float(rows.n @ second) / (4 * _STEP**2)
             hessian[i, j] = hessian[j, i] = curvature
     # Where a parameter says nothing (two equal means), its curvature is the rounding of a sum of logarithms.

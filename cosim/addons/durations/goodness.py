@@ -11,6 +11,7 @@ from scipy import stats
 
 from cosim.addons.durations.fit import Fit, fit
 from cosim.addons.durations.samples import Durations
+from results.metrics.intervals import LEVEL
 
 FEWEST_AT_RISK = 20
 """A Kaplan-Meier curve is drawn and compared as long as so many are left."""
@@ -18,19 +19,18 @@ _SEEN = 1e-9
 """Seconds by which the edges of intervals may differ by rounding."""
 
 
-def product_limit(sample: Durations, level: float = 0.95) -> pd.DataFrame:
+def product_limit(sample: Durations) -> pd.DataFrame:
     """Share that lasts longer than a duration (Kaplan and Meier 1958), among those longer than the first entry.
 
     Parameters
     ----------
     sample
         Durations; what ends in an interval counts at its upper end.
-    level
-        Probability of the band.
 
     Returns
     -------
-    duration_s, survival, low and high (Greenwood, log-log), n_at_risk, n_ended; the first row is the first entry.
+    duration_s, survival, low and high (of the 95 % band: Greenwood, log-log), n_at_risk, n_ended; the first row is the
+    first entry.
 
     Notes
     -----
@@ -50,19 +50,21 @@ def product_limit(sample: Durations, level: float = 0.95) -> pd.DataFrame:
     survival = np.cumprod(1 - n_ended / at_risk)
     with np.errstate(divide="ignore", invalid="ignore"):
         greenwood = np.cumsum(n_ended / (at_risk * np.maximum(at_risk - n_ended, 0.0)))
-        quantile = stats.norm.ppf((1 + level) / 2)
+        quantile = stats.norm.ppf((1 + LEVEL) / 2)
         wide = quantile * np.sqrt(greenwood) / np.log(survival)
         low = survival ** np.exp(-wide)
         high = survival ** np.exp(wide)
     is_known = np.isfinite(low) & np.isfinite(high)
-    return pd.DataFrame({
-        "duration_s": np.r_[first, times],
-        "survival": np.r_[1.0, survival],
-        "low": np.r_[1.0, np.where(is_known, low, survival)],
-        "high": np.r_[1.0, np.where(is_known, high, survival)],
-        "n_at_risk": np.r_[len(sample), at_risk],
-        "n_ended": np.r_[0, n_ended],
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "duration_s": np.r_[first, times],
+            "survival": np.r_[1.0, survival],
+            "low": np.r_[1.0, np.where(is_known, low, survival)],
+            "high": np.r_[1.0, np.where(is_known, high, survival)],
+            "n_at_risk": np.r_[len(sample), at_risk],
+            "n_ended": np.r_[0, n_ended],
+        }
+    )
 
 
 class FitDistance(NamedTuple):
@@ -73,7 +75,7 @@ class FitDistance(NamedTuple):
     """Share of samples of the fitted distribution that are as far from their own fit; NaN if none were drawn."""
 
 
-def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: int = 0) -> FitDistance:
+def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0) -> FitDistance:
     """Largest distance between the Kaplan-Meier curve and the fitted survival function.
 
     Parameters
@@ -85,8 +87,6 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
     n_draws
         Samples that are drawn from the fit, cut into the same steps, censored like the data, and fitted again
         (parametric bootstrap). 0 draws none.
-    seed
-        Seed of the draws.
 
     Notes
     -----
@@ -98,7 +98,7 @@ def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0, seed: in
     value = _distance(sample, found)
     if not n_draws:
         return FitDistance(value, float("nan"))
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     beyond = 0
     for _ in range(n_draws):
         drawn = _like(sample, found, random)
@@ -143,9 +143,12 @@ def _like(sample: Durations, found: Fit, random: np.random.Generator) -> Duratio
     return replace(sample, low_s=low, high_s=np.where(is_cut, np.inf, edge + step_s))
 
 
-def tail_curve(sample: Durations, found: Fit, n: int = 200) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
-    """Durations and fitted survival from the first entry to the last observed end, evenly spaced in the logarithm."""
+def tail_curve(
+    sample: Durations,
+    found: Fit,
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n"]]:
+    """200 durations from the first entry to the last observed end, evenly spaced in the logarithm; fitted survival."""
     first = float(sample.entry_s.min())
     last = float(sample.high_s[sample.ended].max())
-    x_s = np.geomspace(max(first, 1e-3), last, n)
+    x_s = np.geomspace(max(first, 1e-3), last, 200)
     return x_s, found.survival(x_s, first)

@@ -38,11 +38,20 @@ def fits(run: Run, what: What = "duration", departure: Departure = "ends", ks_dr
             continue
         for one in found:
             ks = kolmogorov_smirnov(sample, one, ks_draws)
-            rows.append({column: definition[column] for column in DEFINITION} | {
-                "family": one.family.label, "n": one.n, "n_ended": one.n_ended, "aic": one.aic, "bic": one.bic,
-                "delta_aic": one.aic - found[0].aic, "ks": ks.value, "ks_p": ks.p_value,
-                "parameters": one.parameters(),
-            })  # fmt: skip
+            rows.append(
+                {column: definition[column] for column in DEFINITION}
+                | {
+                    "family": one.family.label,
+                    "n": one.n,
+                    "n_ended": one.n_ended,
+                    "aic": one.aic,
+                    "bic": one.bic,
+                    "delta_aic": one.aic - found[0].aic,
+                    "ks": ks.value,
+                    "ks_p": ks.p_value,
+                    "parameters": one.parameters(),
+                }
+            )
     columns = [*DEFINITION, "family", "n", "n_ended", "aic", "bic", "delta_aic", "ks", "ks_p", "parameters"]
     return pd.DataFrame(rows, columns=columns)
 

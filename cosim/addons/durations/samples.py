@@ -17,8 +17,16 @@ What = Literal["duration", "inter_contact"]
 LABELS: dict[What, str] = {"duration": "duration", "inter_contact": "inter-contact time"}
 
 _COLUMNS = (
-    *DEFINITION, "a", "b", "start_step", "end_step", "censored_left", "censored_right", "departed", "gap_s",
-)  # fmt: skip
+    *DEFINITION,
+    "a",
+    "b",
+    "start_step",
+    "end_step",
+    "censored_left",
+    "censored_right",
+    "departed",
+    "gap_s",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +46,8 @@ class Durations:
     """Length of the steps in which they were counted; 0 if they were timed."""
 
     def __post_init__(self) -> None:
-        assert (self.low_s < self.high_s).all() and (self.entry_s <= self.low_s).all() and (self.entry_s >= 0).all()
+        assert (self.low_s < self.high_s).all()
+        assert (self.entry_s <= self.low_s).all() and (self.entry_s >= 0).all()
 
     def __len__(self) -> int:
         return len(self.low_s)
@@ -120,7 +129,8 @@ def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durat
     last = frame.sort_values("start_step").groupby(["a", "b"], as_index=False).last()
     last = last[~last.censored_right]
     last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
-    leaves_a, leaves_b = (last_step.reindex(who).to_numpy() for who in (last.a, last.b))
+    leaves_a = last_step.reindex(last.a).to_numpy()
+    leaves_b = last_step.reindex(last.b).to_numpy()
     until = np.minimum(leaves_a, leaves_b) + 1
     open_steps = (until - last.end_step.to_numpy()).astype(float)
     known = open_steps >= fewest
@@ -133,7 +143,12 @@ def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durat
 
 
 def _in_steps(
-    n: Float[ndarray, "n"], ended: Bool[ndarray, "n"], dt_s: float, fewest: int, a: ndarray, b: ndarray
+    n: Float[ndarray, "n"],
+    ended: Bool[ndarray, "n"],
+    dt_s: float,
+    fewest: int,
+    a: ndarray,
+    b: ndarray,
 ) -> Durations:
     """Durations of n steps, of which fewer than `fewest` are not seen."""
     low = (n - 0.5) * dt_s

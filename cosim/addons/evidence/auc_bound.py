@@ -81,7 +81,10 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
     return max(found, key=lambda one: one.value)
 
 
-def _log_shares(counts: Int[ndarray, "s c"], of_role: Bool[ndarray, "s"]) -> Float[ndarray, "s c"]:
+def _log_shares(
+    counts: Int[ndarray, "s c"],
+    of_role: Bool[ndarray, "s"],
+) -> Float[ndarray, "s c"]:
     """Logarithm of each kind's share of the clues about a role's subjects, for each subject without its own clues."""
     of_all_others = counts.sum(axis=0) - counts + _PRIOR
     mean = of_all_others / max(len(counts) - 1, 1)
@@ -164,7 +167,10 @@ def _counts(run: Run, who: pd.DataFrame) -> Int[ndarray, "s c 2"]:
     return counts.reshape(len(who), n_kinds, 2)
 
 
-def _of_others(claim: Int[ndarray, "n"], said: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+def _of_others(
+    claim: Int[ndarray, "n"],
+    said: Float[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     """What the others say on average about the same claim: 0 if there is none, 1 if against it, 2 otherwise."""
     n = np.bincount(claim)[claim] - 1
     total = np.bincount(claim, said)[claim] - said

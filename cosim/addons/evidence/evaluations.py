@@ -43,10 +43,9 @@ def rates(run: Run) -> pd.DataFrame:
     for (by, kind, value), of in counts.groupby(["by", "kind", "value"], sort=True):
         n, denied = of.n.to_numpy(), of.denied.to_numpy()
         row = {"kind": kind, "by": by, "value": value, "n": int(n.sum())}
-        for name, top, bottom in (
-            ("denied", denied, n), ("confirmed", of.confirmed.to_numpy(), n), ("missed", of.missed.to_numpy(), denied),
-        ):  # fmt: skip
-            row |= columns(share(top, bottom), name)
+        row |= columns(share(denied, n), "denied")
+        row |= columns(share(of.confirmed.to_numpy(), n), "confirmed")
+        row |= columns(share(of.missed.to_numpy(), denied), "missed")
         rows.append(row)
     found = pd.DataFrame(rows)
     order = []
@@ -124,18 +123,31 @@ SELECT coalesce(min(detection_step), $first) AS first FROM evaluations WHERE ste
 
 def _bins(value: str, edges: tuple[float, ...], unit: str) -> str:
     """SQL that names the bin of a value; each bin is without its lower edge and with its upper one."""
-    names = [f"over {low:g}{unit}" if np.isinf(high) else f"{low:g} to {high:g}{unit}" for low, high in pairwise(edges)]
-    cases = [f"WHEN {value} <= {high} THEN '{name}'" for high, name in zip(edges[1:-1], names, strict=False)]
-    return f"CASE {' '.join(cases)} ELSE '{names[-1]}' END"
+    cases = []
+    for low, high in pairwise(edges):
+        name = f"over {low:g}{unit}"
+        if high < np.inf:
+            name = f"{low:g} to {high:g}{unit}"
+        cases.append(f"WHEN {value} <= {high} THEN '{name}'")
+    return f"CASE {' '.join(cases[:-1])} ELSE '{name}' END"
 
 
 _AWAY_M = "sqrt((d.x_m - a.x_m)::DOUBLE ** 2 + (d.y_m - a.y_m)::DOUBLE ** 2)::FLOAT"
+
+
+def _group(by: str, value: str, among: str = f"WHERE evaluator = '{EVALUATORS[1]}'") -> str:
+    """SQL that counts evaluations by one property."""
+    return (
+        f"SELECT '{by}' AS by, kind, {value} AS value, vehicle, count(*) AS n, count_if(denied) AS denied, "
+        f"count_if(confirmed) AS confirmed, count_if(missed) AS missed FROM looked {among} GROUP BY ALL"
+    )
+
+
 _GROUPS = " UNION ALL ".join(
-    f"SELECT '{by}' AS by, kind, {value} AS value, vehicle, count(*) AS n, count_if(denied) AS denied, "
-    f"count_if(confirmed) AS confirmed, count_if(missed) AS missed FROM looked {among} GROUP BY ALL"
-    for by, value, among in (
-        ("evaluator", "evaluator", ""),
-        *((by, "'all'" if by == "all" else by, f"WHERE evaluator = '{EVALUATORS[1]}'") for by in ("all", *SPLITS[1:])),
+    (
+        _group("evaluator", "evaluator", ""),
+        _group("all", "'all'"),
+        *map(_group, SPLITS[1:], SPLITS[1:]),
     )
 )
 _QUERY = f"""

@@ -11,7 +11,7 @@ References
    m observations of a cluster is 1 + (m - 1) k times as large: they count as m / (1 + (m - 1) k) independent ones.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -49,22 +49,28 @@ def of_evaluations(said: Said, dt_s: float) -> pd.DataFrame:
     witness = _numbers(said.evaluator, said.subject, said.actor)
     slot = np.floor(said.step * dt_s / WINDOW_S + 1e-9).astype(np.int64)
     look, first = np.unique(_numbers(witness, said.step), return_index=True)
-    rows = [
-        {"group": name, "distinct": len(of) / len(witness) if len(witness) else np.nan}
-        for name, of in (
-            ("step", look), (f"{WINDOW_S:g} s", np.unique(_numbers(witness, slot))), ("run", np.unique(witness)),
-        )
-    ]  # fmt: skip
+    distinct = {
+        "step": look,
+        f"{WINDOW_S:g} s": np.unique(_numbers(witness, slot)),
+        "run": np.unique(witness),
+    }
+    rows: list[dict[str, Any]] = []
+    for name, of in distinct.items():
+        share = len(of) / len(witness) if len(witness) else np.nan
+        rows.append({"group": name, "distinct": share})
     _, evaluator, subject, actor, denies, detection_step = (column[first] for column in said)
-    for name, group in (
-        ("same evaluator, object", witness[first]), ("same evaluator", _numbers(evaluator, subject)),
-        ("same object, step", _numbers(subject, actor, detection_step)),
-    ):  # fmt: skip
+    groups = {
+        "same evaluator, object": witness[first],
+        "same evaluator": _numbers(evaluator, subject),
+        "same object, step": _numbers(subject, actor, detection_step),
+    }
+    for name, group in groups.items():
         _, group = np.unique(group, return_inverse=True)
         n, denied = np.bincount(group), np.bincount(group, denies)
         kappa = agreement(n, denied)
         alike = np.clip(kappa, 0, 1)
-        effective = np.sum(n / (1 + (n - 1) * alike)) / n.sum() if len(n) else np.nan
+        independent = n / (1 + (n - 1) * alike)
+        effective = np.sum(independent) / n.sum() if len(n) else np.nan
         rows.append({"group": name, "kappa": kappa, "effective": effective})
     return pd.DataFrame(rows)
 
@@ -85,7 +91,9 @@ def agreement(n: Int[ndarray, "g"], denied: Int[ndarray, "g"]) -> float:
     pairs = float(np.sum(n * (n - 1)))
     if not pairs:
         return float("nan")
-    agree = float(np.sum(denied * (denied - 1) + (n - denied) * (n - denied - 1))) / pairs
+    others = n - denied
+    alike = denied * (denied - 1) + others * (others - 1)
+    agree = float(np.sum(alike)) / pairs
     share = float(np.sum(denied * (n - 1))) / pairs
     chance = share**2 + (1 - share) ** 2
     return (agree - chance) / (1 - chance) if chance < 1 else float("nan")
@@ -120,5 +128,6 @@ def _numbers(*columns: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
     number = np.zeros(len(columns[0]), np.int64)
     for column in columns:
         known, code = np.unique(column, return_inverse=True)
-        _, number = np.unique(number * max(len(known), 1) + code, return_inverse=True)
+        both = number * max(len(known), 1) + code
+        _, number = np.unique(both, return_inverse=True)
     return number

@@ -29,10 +29,15 @@ def parts(manifest: Mapping[str, Any]) -> Iterator[CitedPart]:
     source = manifest.get("source", {})
     commit = str(source.get("commit") or "")[:12]
     version = f"{source.get('version', '')} {commit}".strip()
-    yield CitedPart("cosim", entry={
-        "type": "software", "title": "cosim: co-simulation of cooperative perception under trust at city scale",
-        "author": "{The maintainers of cosim}", "version": version,
-    })  # fmt: skip
+    yield CitedPart(
+        "cosim",
+        entry={
+            "type": "software",
+            "title": "cosim: co-simulation of cooperative perception under trust at city scale",
+            "author": "{The maintainers of cosim}",
+            "version": version,
+        },
+    )
     yield from _traffic(manifest, versions)
     if not config.get("sensing", True):
         return
@@ -61,9 +66,14 @@ def _traffic(manifest: Mapping[str, Any], versions: Mapping[str, str]) -> Iterat
         yield CitedPart(f"traffic, Eclipse SUMO {versions['libsumo']}", ("lopez2018",))
     if "licence" in net and not is_alone:
         licence = ", ".join(filter(None, (net.get("attribution"), net.get("licence"))))
-        yield CitedPart(f"city {net['name']}", entry={
-            "type": "misc", "title": f"Network and demand of {net['name']}", "note": licence or "licence not stated",
-        })  # fmt: skip
+        yield CitedPart(
+            f"city {net['name']}",
+            entry={
+                "type": "misc",
+                "title": f"Network and demand of {net['name']}",
+                "note": licence or "licence not stated",
+            },
+        )
 
 
 def _sensing(config: Mapping[str, Any]) -> Iterator[CitedPart]:

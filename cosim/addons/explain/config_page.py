@@ -25,7 +25,8 @@ def _section(section: SectionDoc) -> list[str]:
         return []
     head = ["| key | type | default | meaning |", "|---|---|---|---|"]
     about = [section.about, ""] if section.about else []
-    return [f"## {section.title}", "", *about, *head, *map(_row, section.keys), ""]
+    rows = map(_row, section.keys)
+    return [f"## {section.title}", "", *about, *head, *rows, ""]
 
 
 def _row(key: KeyDoc) -> str:

@@ -25,7 +25,7 @@ def markdown() -> str:
         "",
         "| word | meaning |",
         "|---|---|",
-        *(f"| {word} | {meaning} |" for word, meaning in sorted(GLOSSARY.items(), key=lambda item: item[0].lower())),
+        *(f"| {word} | {GLOSSARY[word]} |" for word in sorted(GLOSSARY, key=str.lower)),
         "",
         "# Tables",
         "",
@@ -93,11 +93,13 @@ def markdown() -> str:
             "| metric | label | unit | range | group | definition | clustered by |",
             "|---|---|---|---|---|---|---|",
         ]
-        lines += [
-            f"| `{name}` | {metric.label} | {metric.unit} | {_range(metric)} | {metric.group} | {metric.definition} "
-            f"| {metric.unit_of_chance} |"
-            for name, metric in METRICS.items() if name.startswith(topic + ".")
-        ]  # fmt: skip
+        for name, metric in METRICS.items():
+            if name.startswith(topic + "."):
+                lines.append(
+                    f"| `{name}` | {metric.label} | {metric.unit} "
+                    f"| {_range(metric)} | {metric.group} | {metric.definition} "
+                    f"| {metric.unit_of_chance} |"
+                )
     return "\n".join(lines) + "\n"
 
 
@@ -129,7 +131,8 @@ def _row(name: str, column: Column) -> str:
         *([f"to 1/{2**column.bits}"] if column.bits else []),
         *([f"by `{column.via}`"] if column.via else []),
     ]
-    return f"| `{name}` | {kind} | {column.unit} | {', '.join(notes)} | {column.meaning} |"
+    cells = [f"`{name}`", kind, column.unit, ", ".join(notes), column.meaning]
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -4,4 +4,5 @@ import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
-GLOSSARY: Mapping[str, str] = tomllib.loads(Path(__file__).with_name("glossary.toml").read_text(encoding="utf-8"))
+_FILE = Path(__file__).with_name("glossary.toml")
+GLOSSARY: Mapping[str, str] = tomllib.loads(_FILE.read_text(encoding="utf-8"))

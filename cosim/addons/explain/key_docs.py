@@ -60,7 +60,13 @@ def sections() -> Iterator[SectionDoc]:
     yield from _of_choices()
 
 
-def _of_model(title: str, prefix: str, model: Any, parts: list[tuple[str, Any]], about: str) -> SectionDoc:
+def _of_model(
+    title: str,
+    prefix: str,
+    model: Any,
+    parts: list[tuple[str, Any]],
+    about: str,
+) -> SectionDoc:
     """The keys of a section; sections inside it are put in front of `parts`."""
     rows, inner = [], []
     for one in _shown(model):
@@ -69,7 +75,8 @@ def _of_model(title: str, prefix: str, model: Any, parts: list[tuple[str, Any]],
         if nested is None:
             rows.append(_key(name, one, model))
         else:
-            inner.append((f"[[{name}]]" if get_origin(one.type) is tuple else name, nested))
+            header = f"[[{name}]]" if get_origin(one.type) is tuple else name
+            inner.append((header, nested))
     parts[:0] = inner
     return SectionDoc(title, about, tuple(rows))
 
@@ -122,7 +129,8 @@ def _shown(model: Any) -> list[Field[Any]]:
 
 def _is_section(params: Any, section: str) -> bool:
     """Whether these keys are those of the section itself, which have a table already."""
-    return any(one.name == section and one.type is params for one in fields(Config))
+    types = {one.name: one.type for one in fields(Config)}
+    return types.get(section) is params
 
 
 def _kind(hint: Any) -> tuple[str, str]:
@@ -149,9 +157,12 @@ def _kind(hint: Any) -> tuple[str, str]:
 
 def _bound(mark: Any) -> str:
     if isinstance(mark, at.Interval):
-        return ", ".join(
-            f"{sign} {_figure(v)}" for name, sign in _SIGNS.values() if (v := getattr(mark, name)) is not None
-        )
+        found = []
+        for name, sign in _SIGNS.values():
+            bound = getattr(mark, name)
+            if bound is not None:
+                found.append(f"{sign} {_figure(bound)}")
+        return ", ".join(found)
     for kind, (name, sign) in _SIGNS.items():
         if isinstance(mark, kind):
             return f"{sign} {_figure(getattr(mark, name))}"
@@ -227,7 +238,8 @@ def _source_of(model: type) -> ast.ClassDef:
     """A class as it is written in its module."""
     found: ast.AST = _parsed(model.__module__)
     for name in model.__qualname__.replace("<locals>.", "").split("."):
-        inside = [one for one in ast.walk(found) if isinstance(one, ast.ClassDef | ast.FunctionDef)]
+        below = ast.walk(found)
+        inside = [one for one in below if isinstance(one, ast.ClassDef | ast.FunctionDef)]
         found = next(one for one in inside if one.name == name)
     assert isinstance(found, ast.ClassDef)
     return found

@@ -27,7 +27,7 @@ class Explanation:
     """A command or a page that tells more."""
 
 
-def look_up(asked: str, of_program: Callable[[], Iterator[Explanation]] = lambda: iter(())) -> list[Explanation]:
+def look_up(asked: str, of_program: Callable[[], Iterator[Explanation]]) -> list[Explanation]:
     """Everything of this name; else what ends in it or contains it.
 
     Raises
@@ -106,9 +106,9 @@ def _choices() -> Iterator[Explanation]:
     for kind in KINDS.values():
         for name, made in kind.shipped.items():
             where = f'{kind.section}: {kind.key} = "{name}"' if kind.section else f"cosim export {name}"
-            yield Explanation(
-                name, kind.title, _paragraphs(made, kind.name == "trust") + _sources(kind.name, name), where
-            )
+            said = _paragraphs(made, kind.name == "trust")
+            said += _sources(kind.name, name)
+            yield Explanation(name, kind.title, said, where)
     for name in names():
         yield Explanation(
             name, "preset", "A named set of keys that a config starts from.", f"cosim check --preset {name} --all"

@@ -41,10 +41,16 @@ def export(
 
     with progress() as advance:
         done = write(
-            open_run(folder), form, out, vehicles, steps, sets or (),
+            open_run(folder),
+            form,
+            out,
+            vehicles,
+            steps,
+            sets or (),
             lambda what, n, total: advance(f"{form}, {what}", n, total, ""),
-        )  # fmt: skip
-    print_done(done, f"wrote {done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB, in {done['out']}", as_json)
+        )
+    written = f"{done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB"
+    print_done(done, f"wrote {written}, in {done['out']}", as_json)
     for remark in done["remarks"]:
         notes.print(f"note: {remark}", soft_wrap=True)
 
@@ -84,7 +90,12 @@ def view(
         raise ValueError("Say where the recording goes: --out FILE.rrd. A run that is computed now: --live.")
     with progress() as advance:
         done = write(
-            open_run(folder), out, tuple(vehicles or ()), from_s, to_s, clouds,
+            open_run(folder),
+            out,
+            tuple(vehicles or ()),
+            from_s,
+            to_s,
+            clouds,
             lambda what, n, total: advance(what, n, total, ""),
-        )  # fmt: skip
+        )
     print_done(done, f"wrote {out}, {done['bytes'] / 1e6:,.1f} MB; open it with: rerun {out}", as_json)

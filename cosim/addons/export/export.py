@@ -22,7 +22,7 @@ from cosim.door import blame
 from cosim.door.guard import make
 from cosim.door.load import Choice
 from cosim.runs.replay_lidar import city_of, config_of, sweep, worlds
-from cosim.traffic.scenario import find
+from cosim.traffic.scenario import Scenario, find
 from cosim.world import World
 from results.moments import Cloud, Place, Plan, Selection
 from results.run import Run
@@ -138,18 +138,27 @@ def _exported(
     if "detections" in fmt.TABLES and not config.sensing:  # the table would be empty
         raise run.lacks("sweeps, detections or messages", "")
     chosen = Selection(
-        run, _vehicles(run, vehicles), _steps(run, steps, of_traffic), _road_edge_m(config),
-        partial(_projection, config), _place(run, config), vehicles is not None,
-    )  # fmt: skip
+        run,
+        _vehicles(run, vehicles),
+        _steps(run, steps, of_traffic),
+        _road_edge_m(config),
+        partial(_projection, config),
+        _place(run, config),
+        vehicles is not None,
+    )
     if chosen.presence.empty and not of_traffic:
         if not chosen.vehicles:
             raise ValueError(f"{run.path}: no vehicle carries a LiDAR. Raise fleet.penetration_p, and run again.")
         raise ValueError("none of these vehicles is on the road in any of these steps. Choose others.")
     about = {
-        "format": choice.source.name, "run": str(run.path.resolve()), "vehicles": list(chosen.vehicles),
-        "steps": _span(chosen.steps), "parameters": list(sets),
-        "created": run.manifest.get("created"), "schema_version": run.manifest["schema_version"],
-    }  # fmt: skip
+        "format": choice.source.name,
+        "run": str(run.path.resolve()),
+        "vehicles": list(chosen.vehicles),
+        "steps": _span(chosen.steps),
+        "parameters": list(sets),
+        "created": run.manifest.get("created"),
+        "schema_version": run.manifest["schema_version"],
+    }
     if choice.is_own:
         about["sha256"] = choice.source.sha256
     plan = fmt.plan(chosen)
@@ -180,10 +189,14 @@ def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, prog
             folder.finish(unit.name)
     progress(note, len(plan.units), len(plan.units))
     return {
-        "out": str(folder.path), "files": n_files, "bytes": written, "sweeps": plan.n_sweeps,
-        "estimated_bytes": round(n_bytes), "resumed": len(left) < len(plan.units),
+        "out": str(folder.path),
+        "files": n_files,
+        "bytes": written,
+        "sweeps": plan.n_sweeps,
+        "estimated_bytes": round(n_bytes),
+        "resumed": len(left) < len(plan.units),
         "remarks": list(plan.remarks),
-    }  # fmt: skip
+    }
 
 
 def _estimate(plan: Plan, chosen: Selection, sweeper: Sweeper) -> float:
@@ -257,11 +270,16 @@ def _size(n_bytes: float) -> str:
     return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.1f} MB"
 
 
+def scenario_of(config: Config) -> Scenario:
+    """The scenario of a run's traffic."""
+    return find(config.traffic.scenario, config.traffic.trace)
+
+
 def _road_edge_m(
     config: Config,
 ) -> Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n"]]:
     """A function for the distance of points to the edge of the lanes for motor vehicles [m]; positive on the lanes."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
+    scenario = scenario_of(config)
 
     @cache
     def road() -> tuple[shapely.Geometry, shapely.STRtree]:
@@ -293,14 +311,14 @@ def _road_edge_m(
 
 def _place(run: Run, config: Config) -> Place:
     """The surroundings of the run's traffic."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
+    scenario = scenario_of(config)
     east_m, north_m = run.manifest["summary"].get("origin_m", scenario.origin_m)
     return Place((east_m, north_m), lambda: city_triangles(city_of(config)))
 
 
 def _projection(config: Config) -> Projection:
     """Where on Earth the run's world frame is."""
-    scenario = find(config.traffic.scenario, config.traffic.trace)
+    scenario = scenario_of(config)
     if scenario.net is None:
         raise ValueError("the run's traffic has no network: it is not known where on Earth it is.")
     text, offset_m = network.projection(scenario.net)

@@ -21,6 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cosim.base.codes import OBJECT, PARKED
+from cosim.base.plane import ahead_of
 from results.moments import Clouds, File, Moment, Plan, Selection, Unit
 
 TABLES = ("actors", "vehicles")
@@ -54,11 +55,11 @@ def _packed(selection: Selection) -> bytes:
     rows = selection.run.table("vehicles", columns).to_dict("records")
     n_objects = len(selection.run.config.get("objects", ()))
     placed = [f"{OBJECT}{i}" for i in range(n_objects)]
-    fixed = {
-        int(row["vehicle"]): _fixed(row)
-        for row in rows
-        if row["sumo_id"] not in placed and not str(row["sumo_id"]).startswith(PARKED)
-    }
+    fixed = {}
+    for row in rows:
+        name = str(row["sumo_id"])
+        if name not in placed and not name.startswith(PARKED):
+            fixed[int(row["vehicle"])] = _fixed(row)
     packed = io.BytesIO()
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
@@ -93,9 +94,8 @@ def _timestep(
         return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
     box = moment.box
     yaw = box[:, 6]
-    heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
     half_length = 0.5 * box[:, 3:4]
-    front = box[:, :2] + half_length * heading + origin_m
+    front = box[:, :2] + half_length * ahead_of(yaw) + origin_m
     underside = box[:, 2] - 0.5 * box[:, 5]
     angle = np.mod(90.0 - np.degrees(yaw), 360.0)
     columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)

@@ -35,8 +35,9 @@ class Folder:
             folder = Folder(path.resolve(), about)
             if (path / PROGRESS).is_file():
                 before = json.loads((path / PROGRESS).read_text(encoding="utf-8"))
-                if before["about"] != about:
-                    changed = ", ".join(k for k in about if before["about"].get(k) != about[k])
+                other = before["about"]
+                if other != about:
+                    changed = ", ".join(k for k in about if other.get(k) != about[k])
                     raise ValueError(f"--out {path} holds another export (other {changed}). Give another folder.")
                 folder.done = list(before["done"])
             elif any(path.iterdir()):

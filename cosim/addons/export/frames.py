@@ -20,11 +20,29 @@ FOCAL_PX = 960.0
 NEAREST_M = 0.1
 """What is nearer to the camera's plane is cut off before it is projected."""
 
-_EDGES = np.array([(i, i ^ bit) for i in range(8) for bit in (1, 2, 4) if i < i ^ bit])
+_EDGES = np.array(
+    [
+        (0, 1),
+        (0, 2),
+        (0, 4),
+        (1, 3),
+        (1, 5),
+        (2, 3),
+        (2, 6),
+        (3, 7),
+        (4, 5),
+        (4, 6),
+        (5, 7),
+        (6, 7),
+    ]
+)
 """Edges of a box whose corner i is at the upper end of the axes in the bits of i."""
 
 
-def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[ndarray, "n 7"]:
+def in_sensor(
+    box: Float[ndarray, "n 7"],
+    pose: Float[ndarray, "4"],
+) -> Float[ndarray, "n 7"]:
     """Boxes in the frame of a level sensor.
 
     Parameters
@@ -39,11 +57,18 @@ def in_sensor(box: Float[ndarray, "n 7"], pose: Float[ndarray, "4"]) -> Float[nd
     Boxes in the sensor frame: x forward, y left, z up; yaw in (-pi, pi].
     """
     away = box[:, :3] - pose[:3]
-    out = box.astype(np.float64)
+    out = box.astype(float)
     out[:, :2] = turned_by(-pose[3], away)
     out[:, 2] = away[:, 2]
     out[:, 6] = wrapped(box[:, 6] - pose[3])
     return out
+
+
+def normals_of(triangles: Float[ndarray, "t 3 3"]) -> Float[ndarray, "t 3"]:
+    """Unit vectors across triangles; 0 of a triangle without an area."""
+    a, b, c = triangles.swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
 class InCamera(NamedTuple):
@@ -113,11 +138,11 @@ def _rectangle(box: Float[ndarray, "n 7"]) -> Float[ndarray, "n 4"]:
     points = np.concatenate([corner, cut], axis=1)
     seen = np.concatenate([corner[..., 0] >= NEAREST_M, crosses], axis=1)
     depth = np.where(seen, np.maximum(points[..., 0], NEAREST_M), 1.0)
-    u = IMAGE_PX[0] / 2 - FOCAL_PX * points[..., 1] / depth
-    v = IMAGE_PX[1] / 2 - FOCAL_PX * points[..., 2] / depth
-    low = [np.where(seen, x, np.inf).min(axis=1) for x in (u, v)]
-    high = [np.where(seen, x, -np.inf).max(axis=1) for x in (u, v)]
-    out = np.column_stack([*low, *high])
+    middle = np.array(IMAGE_PX) / 2
+    pixel = middle - FOCAL_PX * points[..., 1:] / depth[..., None]
+    low = np.where(seen[..., None], pixel, np.inf).min(axis=1)
+    high = np.where(seen[..., None], pixel, -np.inf).max(axis=1)
+    out = np.column_stack([low, high])
     out[~seen.any(axis=1)] = np.nan
     return out
 

@@ -45,9 +45,15 @@ from results.spreadsheet import csv_of
 TABLES = ("actors", "vehicles", "observability", "detections", "pseudonyms")
 
 TYPE_OF = {
-    "car": "Car", "van": "Van", "truck": "Truck", "bus": "Truck", "motorcycle": "Cyclist", "bicycle": "Cyclist",
-    "cyclist": "Cyclist", "pedestrian": "Pedestrian",
-}  # fmt: skip
+    "car": "Car",
+    "van": "Van",
+    "truck": "Truck",
+    "bus": "Truck",
+    "motorcycle": "Cyclist",
+    "bicycle": "Cyclist",
+    "cyclist": "Cyclist",
+    "pedestrian": "Pedestrian",
+}
 """KITTI's types by vehicle class and by class of detected objects."""
 
 DONT_CARE = "DontCare -1 -1 -10"

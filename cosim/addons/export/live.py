@@ -27,7 +27,6 @@ from cosim.step.result import Sensed, StepResult
 from cosim.traffic.scenario import Scenario
 from cosim.world import World
 from results.figures import style
-from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
 
@@ -37,9 +36,10 @@ VIEWER = "viewer"
 SUFFIXES = (".rrd", ".mcap")
 
 TOPICS = {
-    "/buildings": "visualization_msgs/msg/Marker", "/actors": "visualization_msgs/msg/MarkerArray",
+    "/buildings": "visualization_msgs/msg/Marker",
+    "/actors": "visualization_msgs/msg/MarkerArray",
     "/trust": "sensor_msgs/msg/PointCloud2",
-}  # fmt: skip
+}
 
 
 class KnownTrust:
@@ -90,7 +90,8 @@ class Now:
     def __init__(self, config: Config, result: StepResult, role: UInt8[ndarray, "a"], known: KnownTrust) -> None:
         self.world: World = result.world
         self.time_s = result.world.step * config.traffic.step_s
-        self.role = np.where(self.world.equipped, role[self.world.attack], len(labels(Role)))
+        others = len(labels(Role))
+        self.role = np.where(self.world.equipped, role[self.world.attack], others)
         """Code of each actor's role; one more than the last for actors that are not equipped."""
         self.age_s = np.nan
         """Mean age of the newest evaluation behind the values that are looked up."""
@@ -112,8 +113,8 @@ class Now:
         n_aged = np.bincount(row, minlength=len(n))
         ages = np.bincount(row, lookups.newest_evaluation_age_s[aged], minlength=len(n))
         mean = np.where(n_aged > 0, ages / np.maximum(n_aged, 1), np.nan)
-        trust = total[heard] / n[heard]
-        known.note(sensed.vehicles.actor[heard], np.column_stack([trust, mean[heard]]))
+        values = np.column_stack([total / np.maximum(n, 1), mean])
+        known.note(sensed.vehicles.actor[heard], values[heard])
         if aged.any():
             self.age_s = float(ages.sum() / n_aged.sum())
 
@@ -124,8 +125,9 @@ class Now:
 
 
 def _inks() -> UInt8[ndarray, "r 3"]:
-    of_role = [style.role_look(role, labels(Role))["color"] for role in labels(Role)]
-    return np.array([tuple(bytes.fromhex(ink[1:])) for ink in (*of_role, style.PALE)], np.uint8)
+    inks = [style.role_look(role, labels(Role))["color"] for role in labels(Role)]
+    inks.append(style.PALE)
+    return np.array([tuple(bytes.fromhex(ink[1:])) for ink in inks], np.uint8)
 
 
 INKS = _inks()
@@ -241,12 +243,7 @@ class _Rerun:
         recording, boxes = self._recording, now.world.boxes
         recording.set_time("time", duration=now.time_s)
         inks, rated = now.inks, view.colours(now.trust)
-        recording.log("city/actors", view.drawn_boxes(boxes, inks, solid=True))
-        edges = Boxes(boxes.xyz_m, boxes.lwh_m * view.EDGE_SHARE, boxes.yaw_rad)
-        recording.log("city/edges", view.drawn_boxes(edges, rated))
-        flat = (boxes.xyz_m[:, :2] * [1.0, -1.0]).astype(np.float32)
-        recording.log("map/rings", rerun.Points2D(flat, colors=rated, radii=3.0, draw_order=30.0))
-        recording.log("map/actors", rerun.Points2D(flat, colors=inks, radii=2.0, draw_order=31.0))
+        view.log_actors(recording, boxes, inks, rated)
         for code, role in enumerate(labels(Role)):
             values = now.trust[(now.role == code) & ~np.isnan(now.trust)]
             if len(values) and now.is_rated:

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from jaxtyping import Int
 from numpy import ndarray
 
-from results.moments import Clouds, File, Selection, Unit
+from results.moments import Clouds, File, Selection, Unit, at_steps
 
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "receptions")
 
@@ -46,10 +46,24 @@ class ReceivedMessages:
 
 def message_steps(selection: Selection) -> Int[ndarray, "s"]:
     """The chosen steps, and those in which messages were sent that vehicles received in the chosen steps."""
-    chosen = pc.field("step").isin(selection.steps.tolist())
-    got = selection.run.parts("receptions", ["message_step"], chosen)
+    got = selection.run.parts("receptions", ["message_step"], at_steps(selection.steps))
     sent = [part.message_step.unique() for part in got]
     return np.unique(np.concatenate([selection.steps, *sent]))
+
+
+def receptions_of(selection: Selection, receivers: list[int]) -> pd.DataFrame:
+    """Receptions of perception messages by these vehicles in the chosen steps, with `send_s` and `receive_s`.
+
+    The column step is that of the message.
+    """
+    columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
+    where = at_steps(selection.steps) & pc.field("receiver").isin(receivers)
+    where &= pc.field("message_type") == "cpm"
+    got = selection.run.table("receptions", columns, where)
+    got = got.drop(columns="step").rename(columns={"message_step": "step"})
+    got["send_s"] = got.step * selection.run.dt_s + got.generation_offset_s
+    got["receive_s"] = got.send_s + got.latency_s
+    return got
 
 
 class ExportedMessages:
@@ -59,7 +73,7 @@ class ExportedMessages:
         self.selection = selection
         self._run = selection.run
         self._steps = message_steps(selection)
-        where = pc.field("step").isin(self._steps.tolist()) & (pc.field("detection_index") == 0)
+        where = at_steps(self._steps) & (pc.field("detection_index") == 0)
         found = self._run.table("detections", ["step", "observer", *POSE, "transmitted"], where)
         found = found[found.transmitted]
         if found.empty:
@@ -114,14 +128,8 @@ class ExportedMessages:
 
     def received(self, receivers: list[int]) -> ReceivedMessages:
         """What these vehicles received."""
-        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
-        steps = pc.field("step").isin(self.selection.steps.tolist())
-        where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
-        got = self._run.table("receptions", columns, where)
-        got = got.drop(columns="step").rename(columns={"message_step": "step"})
+        got = receptions_of(self.selection, receivers)
         sent = self.sent.rename(columns={"observer": "sender"})
         got = got.merge(sent, on=["step", "sender"])
-        got["send_s"] = got.step * self._run.dt_s + got.generation_offset_s
-        got["receive_s"] = got.send_s + got.latency_s
         order = ["receiver", "receive_s", "sender"]
         return ReceivedMessages(self.own(receivers), got.sort_values(order, ignore_index=True))

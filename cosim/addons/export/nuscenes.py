@@ -39,9 +39,14 @@ ANNOTATION_BYTES = 450
 """Of an annotation, roughly."""
 
 CATEGORIES = {
-    "car": "vehicle.car", "van": "vehicle.car", "truck": "vehicle.truck", "bus": "vehicle.bus.rigid",
-    "motorcycle": "vehicle.motorcycle", "bicycle": "vehicle.bicycle", "pedestrian": "human.pedestrian.adult",
-}  # fmt: skip
+    "car": "vehicle.car",
+    "van": "vehicle.car",
+    "truck": "vehicle.truck",
+    "bus": "vehicle.bus.rigid",
+    "motorcycle": "vehicle.motorcycle",
+    "bicycle": "vehicle.bicycle",
+    "pedestrian": "human.pedestrian.adult",
+}
 """nuScenes' categories of the classes of actors."""
 
 ATTRIBUTES = ("vehicle.moving", "vehicle.stopped", "cycle.with_rider", "pedestrian.moving", "pedestrian.standing")
@@ -148,12 +153,13 @@ def _fixed() -> dict[str, list[Record]]:
     """Tables that are the same for every run."""
     kinds = list(dict.fromkeys(CATEGORIES.values()))
     return {
-        "category": [{"token": token("category", k), "name": k, "description": "", "index": i + 1}
-                     for i, k in enumerate(kinds)],
+        "category": [
+            {"token": token("category", k), "name": k, "description": "", "index": i + 1} for i, k in enumerate(kinds)
+        ],
         "attribute": [{"token": token("attribute", a), "name": a, "description": ""} for a in ATTRIBUTES],
         "visibility": [{"token": t, "level": level, "description": ""} for t, level in VISIBILITY.items()],
         "sensor": [{"token": token("sensor"), "channel": "LIDAR_TOP", "modality": "lidar"}],
-    }  # fmt: skip
+    }
 
 
 def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
@@ -161,9 +167,15 @@ def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
     vehicles = sorted(set(selection.presence.vehicle.tolist()))
     heights = selection.bodies.height_m
     logs = [
-        {"token": token("log", v), "logfile": selection.run.name, "vehicle": str(v), "date_captured": "2025-01-01",
-         "location": "cosim"} for v in vehicles
-    ]  # fmt: skip
+        {
+            "token": token("log", v),
+            "logfile": selection.run.name,
+            "vehicle": str(v),
+            "date_captured": "2025-01-01",
+            "location": "cosim",
+        }
+        for v in vehicles
+    ]
     calibrations = []
     for vehicle in vehicles:
         height_m = float(heights[vehicle]) + selection.above_roof_m
@@ -176,18 +188,28 @@ def _of_vehicles(selection: Selection) -> dict[str, list[Record]]:
                 "camera_intrinsic": [],
             }
         )
-    maps = [{"token": token("map"), "log_tokens": [log["token"] for log in logs], "category": "semantic_prior",
-             "filename": "maps/empty.png"}]  # fmt: skip
+    maps = [
+        {
+            "token": token("map"),
+            "log_tokens": [log["token"] for log in logs],
+            "category": "semantic_prior",
+            "filename": "maps/empty.png",
+        }
+    ]
     return {"log": logs, "calibrated_sensor": calibrations, "map": maps}
 
 
 def _scene(scene: NuScenesScene) -> Record:
     first, last = scene.steps[0], scene.steps[-1]
     return {
-        "token": token("scene", scene.name), "log_token": token("log", scene.vehicle), "nbr_samples": len(scene.steps),
+        "token": token("scene", scene.name),
+        "log_token": token("log", scene.vehicle),
+        "nbr_samples": len(scene.steps),
         "first_sample_token": token("sample", first, scene.vehicle),
-        "last_sample_token": token("sample", last, scene.vehicle), "name": scene.name, "description": "",
-    }  # fmt: skip
+        "last_sample_token": token("sample", last, scene.vehicle),
+        "name": scene.name,
+        "description": "",
+    }
 
 
 def _frames(selection: Selection, scenes: list[NuScenesScene]) -> dict[str, list[Record]]:
@@ -234,20 +256,37 @@ def _sample(found: dict[str, list[Record]], selection: Selection, scene: NuScene
     time_us = round(since_1970_s * 1e6) + selection.vehicles.index(vehicle)
     sample, box = token("sample", step, vehicle), moment.box[moment.row(vehicle)]
     underside = [box[0], box[1], box[2] - 0.5 * box[5]]
-    found["sample"].append({
-        "token": sample, "timestamp": time_us, **linked("sample"), "scene_token": token("scene", scene.name),
-    })  # fmt: skip
-    found["ego_pose"].append({
-        "token": token("ego_pose", step, vehicle), "timestamp": time_us, "rotation": quaternion(box[6]),
-        "translation": list(map(float, underside)),
-    })  # fmt: skip
-    found["sample_data"].append({
-        "token": token("sample_data", step, vehicle), "sample_token": sample,
-        "ego_pose_token": token("ego_pose", step, vehicle),
-        "calibrated_sensor_token": token("calibrated_sensor", vehicle), "timestamp": time_us, "fileformat": "pcd",
-        "is_key_frame": True, "height": 0, "width": 0, "filename": _cloud_path(step, vehicle),
-        **linked("sample_data"),
-    })  # fmt: skip
+    found["sample"].append(
+        {
+            "token": sample,
+            "timestamp": time_us,
+            **linked("sample"),
+            "scene_token": token("scene", scene.name),
+        }
+    )
+    found["ego_pose"].append(
+        {
+            "token": token("ego_pose", step, vehicle),
+            "timestamp": time_us,
+            "rotation": quaternion(box[6]),
+            "translation": list(map(float, underside)),
+        }
+    )
+    found["sample_data"].append(
+        {
+            "token": token("sample_data", step, vehicle),
+            "sample_token": sample,
+            "ego_pose_token": token("ego_pose", step, vehicle),
+            "calibrated_sensor_token": token("calibrated_sensor", vehicle),
+            "timestamp": time_us,
+            "fileformat": "pcd",
+            "is_key_frame": True,
+            "height": 0,
+            "width": 0,
+            "filename": _cloud_path(step, vehicle),
+            **linked("sample_data"),
+        }
+    )
 
 
 def _annotations(moment: Moment, vehicle: int) -> Iterator[tuple[Record, int]]:
@@ -259,15 +298,23 @@ def _annotations(moment: Moment, vehicle: int) -> Iterator[tuple[Record, int]]:
         box, kind = moment.box[row], str(moment.vehicle_class[row])
         length_m, width_m, height_m = box[3:6].tolist()
         share = seen.n_points[i] / max(1, seen.n_unoccluded[i])
-        yield {
-            "token": token("sample_annotation", moment.step, vehicle, actor),
-            "sample_token": token("sample", moment.step, vehicle), "instance_token": "",
-            "visibility_token": str(1 + int(np.searchsorted([0.4, 0.6, 0.8], share, side="right"))),
-            "attribute_tokens": [token("attribute", _attribute(kind, float(moment.speed_mps[row])))],
-            "translation": box[:3].tolist(), "size": [width_m, length_m, height_m],
-            "rotation": quaternion(box[6]), "prev": "", "next": "",
-            "num_lidar_pts": int(seen.n_points[i]), "num_radar_pts": 0,
-        }, actor  # fmt: skip
+        yield (
+            {
+                "token": token("sample_annotation", moment.step, vehicle, actor),
+                "sample_token": token("sample", moment.step, vehicle),
+                "instance_token": "",
+                "visibility_token": str(1 + int(np.searchsorted([0.4, 0.6, 0.8], share, side="right"))),
+                "attribute_tokens": [token("attribute", _attribute(kind, float(moment.speed_mps[row])))],
+                "translation": box[:3].tolist(),
+                "size": [width_m, length_m, height_m],
+                "rotation": quaternion(box[6]),
+                "prev": "",
+                "next": "",
+                "num_lidar_pts": int(seen.n_points[i]),
+                "num_radar_pts": 0,
+            },
+            actor,
+        )
 
 
 def _attribute(kind: str, speed_mps: float) -> str:
@@ -287,6 +334,9 @@ def _instance(name: str, actor: int, kind: str, chain: list[Record]) -> Record:
     for one, other in pairwise(chain):
         one["next"], other["prev"] = other["token"], one["token"]
     return {
-        "token": mine, "category_token": token("category", CATEGORIES[kind]), "nbr_annotations": len(chain),
-        "first_annotation_token": chain[0]["token"], "last_annotation_token": chain[-1]["token"],
-    }  # fmt: skip
+        "token": mine,
+        "category_token": token("category", CATEGORIES[kind]),
+        "nbr_annotations": len(chain),
+        "first_annotation_token": chain[0]["token"],
+        "last_annotation_token": chain[-1]["token"],
+    }

@@ -35,12 +35,13 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti
 from cosim.addons.export.frames import compass_deg
-from cosim.addons.export.messages import message_steps, units_of
+from cosim.addons.export.messages import message_steps, receptions_of, units_of
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
-from cosim.base.plane import turned_by
+from cosim.base.plane import ahead_of, turned_by
+from cosim.base.ragged import ptr_of
 from cosim.messages import etsi
-from results.moments import BOX, Clouds, File, Plan, Selection, Unit
+from results.moments import BOX, Clouds, File, Plan, Selection, Unit, at_steps
 
 START_S = 1_735_689_600
 """Second 0 of a run, in seconds since 1970 (UTC): 2025-01-01 00:00."""
@@ -169,14 +170,8 @@ class PcapPackets:
 
     def received(self, receivers: list[int], clouds: Clouds) -> Iterator[File]:
         """One file for each of these receivers."""
-        columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
-        steps = pc.field("step").isin(self.selection.steps.tolist())
-        where = steps & pc.field("receiver").isin(receivers) & (pc.field("message_type") == "cpm")
-        got = self.selection.run.table("receptions", columns, where)
-        got = got.drop(columns="step").rename(columns={"message_step": "step"})
-        step_s = got.step * self.selection.run.dt_s
-        got["time_s"] = step_s + got.generation_offset_s + got.latency_s
-        for receiver, mine in got.sort_values(["receiver", "time_s", "sender"]).groupby("receiver"):
+        got = receptions_of(self.selection, receivers).sort_values(["receiver", "receive_s", "sender"])
+        for receiver, mine in got.groupby("receiver"):
             yield File(f"veh_{receiver}.pcap", partial(_capture, mine, self._all))
 
     @cached_property
@@ -190,7 +185,7 @@ class PcapPackets:
 
     def frames(self, steps: Int[ndarray, "b"], observers: list[int] | None) -> Frames:
         """Frames of the messages of these pseudonyms (None: all) in these steps, by step and pseudonym."""
-        where = pc.field("step").isin(steps.tolist())
+        where = at_steps(steps)
         mine = where if observers is None else where & pc.field("observer").isin(observers)
         columns, key = [*BOX, "class", "score", "transmitted", "speed_mps", "acceleration_mps2"], list(KEY)
         listed = self.selection.run.table("detections", [*key, *columns], mine)
@@ -198,20 +193,17 @@ class PcapPackets:
         listed = listed.sort_values(key, ignore_index=True)
         if listed.empty:
             return {}
-        if "tracks" in self.selection.run.tables:
-            tracks = self.selection.run.table("tracks", [*key, *TRACKED], mine)
-            listed = listed.merge(tracks, on=key, how="left") if len(tracks) else listed
-        if "stated_accuracies" in self.selection.run.tables:
-            stated = self.selection.run.table("stated_accuracies", [*key, *STATED], mine)
-            listed = listed.merge(stated, on=key, how="left") if len(stated) else listed
+        for name, more in (("tracks", TRACKED), ("stated_accuracies", STATED)):
+            if name in self.selection.run.tables:
+                stated = self.selection.run.table(name, [*key, *more], mine)
+                listed = listed.merge(stated, on=key, how="left") if len(stated) else listed
         senders = self._senders(listed, where)
         numbered = senders[["step", "observer"]].assign(sender=range(len(senders)))
         of_sender = listed[["step", "observer"]].merge(numbered, how="left").sender.to_numpy()
         is_object = (listed.detection_index != 0).to_numpy()
         perceived, sender = listed[is_object], of_sender[is_object]
         senders["has_sensors"] = self._describe_sensors(senders, where)
-        ptr = np.searchsorted(sender, np.arange(len(senders) + 1))
-        return self._assembled(senders, perceived, ptr, sender)
+        return self._assembled(senders, perceived, ptr_of(sender, len(senders)), sender)
 
     def _senders(self, listed: pd.DataFrame, where: pc.Expression) -> pd.DataFrame:
         """One row per message: the self report, or the true state where there is none."""
@@ -242,13 +234,17 @@ class PcapPackets:
         return found.sensors.ne(False).to_numpy(bool, na_value=True)
 
     def _assembled(
-        self, senders: pd.DataFrame, perceived: pd.DataFrame, ptr: Int[ndarray, "m"], sender: Int[ndarray, "d"]
+        self,
+        senders: pd.DataFrame,
+        perceived: pd.DataFrame,
+        ptr: Int[ndarray, "m"],
+        sender: Int[ndarray, "d"],
     ) -> Frames:
         box = senders[BOX].to_numpy(float)
         size, yaw = box[:, 3:6], box[:, 6]
         front = box[:, :3].copy()
-        heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
-        front[:, :2] += 0.5 * box[:, 3:4] * heading
+        half_m = 0.5 * box[:, 3:4]
+        front[:, :2] += half_m * ahead_of(yaw)
         front[:, 2] -= 0.5 * box[:, 5]
         place = self.projection.of_world(front[:, :2])
         lat = np.round(place.latitude_deg * 1e7).astype(np.int64)
@@ -289,7 +285,7 @@ def _capture(got: pd.DataFrame, frames: Frames) -> bytes:
     row: Any
     for row in got.itertuples():
         sent = frames.get((row.step, row.sender), ())
-        content += [record(START_S + row.time_s, one) for one in sent]
+        content += [record(START_S + row.receive_s, one) for one in sent]
     return b"".join(content)
 
 
@@ -349,7 +345,8 @@ def objects_of(
         confidences = confidences_of(perceived, turn)
     label = _labels(perceived["class"])
     score = perceived.score.to_numpy(float)
-    size, yaw = box[:, 3:6], box[:, 6] - turn
+    size = box[:, 3:6]
+    yaw = box[:, 6] - turn
     return etsi.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
 
 
@@ -391,10 +388,12 @@ def geonetworking(
     speed = in_range.astype(np.int64) & 0x7FFF
     columns = (types, station, time_ms, latitude, longitude, speed, compass)
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    return [
-        struct.pack(">H6sIiiHH4x", 1 << 15 | kind << 10, mac(number), time & 0xFFFFFFFF, lat, lon, v, angle)
-        for kind, number, time, lat, lon, v, angle in rows
-    ]
+    headers = []
+    for kind, number, time, lat, lon, v, angle in rows:
+        flags = 1 << 15 | kind << 10
+        low_time = time & 0xFFFFFFFF
+        headers.append(struct.pack(">H6sIiiHH4x", flags, mac(number), low_time, lat, lon, v, angle))
+    return headers
 
 
 def mac(station: int) -> bytes:
@@ -405,7 +404,8 @@ def mac(station: int) -> bytes:
 def frame(position: bytes, station: int, kind: str, message: bytes) -> bytes:
     """An Ethernet frame with a single-hop broadcast of a message, `cam` or `cpm`."""
     basic = struct.pack(">BBBB", 1 << 4 | 1, 0, 1 << 2 | 1, 1)  # version 1, common header next, 1 s, one hop
-    common = struct.pack(">BBBBHBB", 2 << 4, 5 << 4, TRAFFIC_CLASS[kind], 0x80, 4 + len(message), 1, 0)
+    length = 4 + len(message)  # with the header of BTP
+    common = struct.pack(">BBBBHBB", 0x20, 0x50, TRAFFIC_CLASS[kind], 0x80, length, 1, 0)
     btp = struct.pack(">HH", PORTS[kind], 0)
     ethernet = b"\xff" * 6 + mac(station) + b"\x89\x47"
     return ethernet + basic + common + position + btp + message

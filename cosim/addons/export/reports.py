@@ -33,7 +33,7 @@ from numpy import ndarray
 
 from cosim.addons.export import kitti, pcap
 from cosim.messages import etsi
-from results.moments import Clouds, File, Plan, Selection, units_of_steps
+from results.moments import Clouds, File, Plan, Selection, at_steps, units_of_steps
 
 TABLES = ("actors", "vehicles", "pseudonyms", "detections", "evaluations")
 VERSION, CPM_AID, GN_PDU = 3, 639, 1
@@ -107,13 +107,11 @@ class _Reports:
         """
         run = self.selection.run
         columns = [*_KEYS, "kind", "evaluation", "visibility", "n_points", "plausible"]
-        found = run.table("evaluations", columns, pc.field("step").isin(steps.tolist()))
+        found = run.table("evaluations", columns, at_steps(steps))
         low = found[found.evaluation * found.visibility < self.threshold].sort_values(_KEYS)
         subjects = run.subjects
         low = low.assign(vehicle=low.evaluator.map(subjects.vehicle))
-        messages = run.table(
-            "detections", ["step", "observer", "transmitted"], pc.field("step").isin(np.unique(low.detection_step))
-        )
+        messages = run.table("detections", ["step", "observer", "transmitted"], at_steps(np.unique(low.detection_step)))
         sent = messages[messages.transmitted].drop_duplicates()
         message = pd.MultiIndex.from_frame(low[["detection_step", "observer"]])
         reasons: list[Any] = [
@@ -146,7 +144,7 @@ class _Reports:
         low = self._numbered(low[reason == len(LEFT_OUT)].astype({"vehicle": np.int64}))
         senders = sorted(set(low.observer.tolist()))
         frames = self.packets.frames(np.unique(low.detection_step), senders)
-        poses = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m"], pc.field("step").isin(steps.tolist()))
+        poses = run.table("actors", ["step", "actor", "x_m", "y_m", "z_m"], at_steps(steps))
         places = poses.set_index(["step", "actor"])[["x_m", "y_m", "z_m"]]
         for step in np.unique(low.step).tolist():
             reports, of_step = [], low[low.step == step]
@@ -160,8 +158,7 @@ class _Reports:
 
     def _numbered(self, denials: pd.DataFrame) -> pd.DataFrame:
         """Denials with the column object_index: place of the object in its message, from 1; 0 is the self report."""
-        of_steps = pc.field("step").isin(np.unique(denials.detection_step))
-        where = of_steps & (pc.field("detection_index") > 0)
+        where = at_steps(np.unique(denials.detection_step)) & (pc.field("detection_index") > 0)
         key = ["step", "observer", "detection_index"]
         objects = self.selection.run.table("detections", [*key, "transmitted"], where)
         objects = objects[objects.transmitted].sort_values(key)
@@ -187,12 +184,17 @@ class _Reports:
             {"obsId": FREE_SPACE if free else NOT_DETECTED, "obs": {"objectIndex": number}}
             for number, free in zip(numbers, denied.tolist(), strict=True)
         ]
-        evidence = [
-            {"objectIndex": number, "evaluation": round(e, 4), "visibility": round(phi, 4), "nPoints": n}
-            for number, e, phi, n in zip(
-                numbers, rows.evaluation.tolist(), rows.visibility.tolist(), rows.n_points.tolist(), strict=True
+        evidence = []
+        said: Any
+        for said in rows.itertuples():
+            evidence.append(
+                {
+                    "objectIndex": said.object_index,
+                    "evaluation": round(said.evaluation, 4),
+                    "visibility": round(said.visibility, 4),
+                    "nPoints": said.n_points,
+                }
             )
-        ]
         pdus = [packet[ETHERNET_BYTES:].hex() for packet in packets]
         report = {
             "generationTime": time_us,

@@ -34,11 +34,12 @@ import pyarrow.compute as pc
 from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray
 
+from cosim.addons.export.frames import normals_of
 from cosim.addons.export.pcap import START_S
 from cosim.addons.export.ros2_messages import definition
 from cosim.base.extras import needed
 from results.figures import style
-from results.moments import BOX, Clouds, File, Moment, Plan, Selection, Unit
+from results.moments import BOX, Clouds, File, Moment, Plan, Selection, Unit, at_steps
 
 TABLES = ("actors", "vehicles", "detections", "observability", "pseudonyms", "trust")
 
@@ -101,7 +102,14 @@ def turn(yaw_rad: Float[ndarray, "n"]) -> Float[ndarray, "n 4"]:
     return np.column_stack([zero, zero, np.sin(half), np.cos(half)])
 
 
-def _marker(cdr: Cdr, nanos: int, name: str, kind: int, triangles: bytes = b"", inks: bytes = b"") -> dict[str, int]:
+def _marker(
+    cdr: Cdr,
+    nanos: int,
+    name: str,
+    kind: int,
+    triangles: bytes = b"",
+    inks: bytes = b"",
+) -> dict[str, int]:
     """Append a visualization_msgs/Marker; returns the places of the fields that differ between boxes."""
     place = {}
     cdr.header(nanos, "map").text(name)
@@ -122,7 +130,9 @@ _DELETE_ALL = 3
 
 
 @cache
-def _box_template(name: str) -> tuple[UInt8[ndarray, "s"], dict[str, int], int]:
+def _box_template(
+    name: str,
+) -> tuple[UInt8[ndarray, "s"], dict[str, int], int]:
     """The bytes of a box's marker in an array, the places of its fields, and how many bytes only align the next one.
 
     A marker begins 4 bytes after a multiple of 8. Its name is made longer until the next one does so too; then all
@@ -185,11 +195,8 @@ def boxes(
 
 def buildings(nanos: int, triangles: Float[ndarray, "t 3 3"]) -> bytes:
     """A visualization_msgs/Marker of triangles, shaded by the direction of their faces."""
-    a, b, c = triangles.swapaxes(0, 1)
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     to_light = LIGHT / np.linalg.norm(LIGHT)
-    light = 0.65 + 0.35 * np.abs(normal @ to_light)
+    light = 0.65 + 0.35 * np.abs(normals_of(triangles) @ to_light)
     inks = np.ones((len(triangles), 3, 4), "<f4")
     inks[:, :, :3] = (light[:, None] * BUILDING)[:, None, :]
     cdr = Cdr()
@@ -221,7 +228,7 @@ def transforms(nanos: int, pose: Mapping[str, Float[ndarray, "4"]]) -> bytes:
 def detections(nanos: int, rows: pd.DataFrame) -> bytes:
     """A vision_msgs/Detection3DArray, frame `map`; `id` is `detection_index`."""
     cdr = Cdr().header(nanos, "map").put("I", len(rows))
-    turns = turn(rows.yaw_rad.to_numpy(np.float64)).tolist()
+    turns = turn(rows.yaw_rad.to_numpy(float)).tolist()
     boxes = rows[BOX].to_numpy(float).tolist()
     scores, indices = rows.score.tolist(), rows.detection_index.tolist()
     found = zip(rows["class"], scores, indices, boxes, turns, strict=True)
@@ -344,14 +351,14 @@ class Bag:
     @cached_property
     def there(self) -> Int[ndarray, "s"]:
         """Steps with an actor on the road."""
-        where = pc.field("step").isin(self.selection.steps.tolist())
-        return np.unique(self.selection.run.table("actors", ["step"], where).step)
+        actors = self.selection.run.table("actors", ["step"], at_steps(self.selection.steps))
+        return np.unique(actors.step)
 
     @cached_property
     def rated(self) -> dict[int, ndarray]:
         """By step: points with trust."""
         run = self.selection.run
-        where = pc.field("step").isin(self.selection.steps.tolist())
+        where = at_steps(self.selection.steps)
         columns = ["step", "subject", "trust", "newest_evaluation_age_s"]
         rows = run.variant_table("trust", columns, where)
         rows = rows.join(run.subjects[["vehicle", "to_step"]], on="subject")
@@ -392,20 +399,27 @@ class Bag:
         writing.finish()
         return made.getvalue()
 
-    def _messages(self, k: int, steps: Int[ndarray, "b"], clouds: Clouds) -> Iterator[tuple[int, str, bytes]]:
+    def _messages(
+        self,
+        k: int,
+        steps: Int[ndarray, "b"],
+        clouds: Clouds,
+    ) -> Iterator[tuple[int, str, bytes]]:
         """Time, topic and content of each message of a span of steps."""
         if k == 0:
             nanos = self.nanos(int(steps[0]))
             yield nanos, "/buildings", buildings(nanos, self.selection.place.buildings())
-        where = pc.field("step").isin(steps.tolist()) & (pc.field("origin") == "fabricated")
+        where = at_steps(steps) & (pc.field("origin") == "fabricated")
         lies = self.selection.run.table("detections", ["step", *BOX, "transmitted"], where)
         lies = lies[lies.transmitted]
-        vehicles = {int(cast(int, s)): rows.tolist() for s, rows in self.mine.groupby("step").vehicle}
+        vehicles = {}
+        for step, of_step in self.mine.groupby("step").vehicle:
+            vehicles[int(cast(int, step))] = of_step.tolist()
         for moment in self.selection.moments(steps) if vehicles else self.selection.traffic(steps):
             nanos = self.nanos(moment.step)
             inks = self.inks[moment.actor]
             yield nanos, "/actors", boxes(nanos, "actors", moment.actor, moment.box, inks)
-            false = lies.loc[lies.step == moment.step, BOX].to_numpy(np.float64)
+            false = lies.loc[lies.step == moment.step, BOX].to_numpy(float)
             ink = np.full((len(false), 4), FABRICATED, np.float32)
             yield nanos, "/fabricated", boxes(nanos, "fabricated", np.arange(len(false)), false, ink)
             if moment.step in self.rated:
@@ -434,18 +448,24 @@ class Bag:
         first, last = (self.nanos(step) for step in ends)
         topics = self.topics
         lines = [
-            "rosbag2_bagfile_information:", "  version: 5", "  storage_identifier: mcap",
+            "rosbag2_bagfile_information:",
+            "  version: 5",
+            "  storage_identifier: mcap",
             f"  duration:\n    nanoseconds: {last - first}",
             f"  starting_time:\n    nanoseconds_since_epoch: {first}",
-            f"  message_count: {sum(n for _, n in topics.values())}", "  topics_with_message_count:",
-        ]  # fmt: skip
+            f"  message_count: {sum(n for _, n in topics.values())}",
+            "  topics_with_message_count:",
+        ]
         for topic, (kind, n) in topics.items():
             qos = _qos(topic).replace("\n", "\\n")
             lines += [
-                "    - topic_metadata:", f"        name: {topic}", f"        type: {kind}",
-                "        serialization_format: cdr", f'        offered_qos_profiles: "{qos}"',
+                "    - topic_metadata:",
+                f"        name: {topic}",
+                f"        type: {kind}",
+                "        serialization_format: cdr",
+                f'        offered_qos_profiles: "{qos}"',
                 f"      message_count: {n}",
-            ]  # fmt: skip
+            ]
         lines += ['  compression_format: ""', '  compression_mode: ""', "  relative_file_paths:"]
         lines += [f"    - bag_{k}.mcap" for k in range(n_files)]
         return ("\n".join(lines) + "\n").encode()
@@ -456,5 +476,7 @@ def _qos(topic: str) -> str:
     durability = 1 if topic == "/buildings" else 2
     span = "{sec: 2147483647, nsec: 4294967295}"
     names = f"deadline: {span}, lifespan: {span}, liveliness: 1, liveliness_lease_duration: {span}"
-    return f"- {{history: 1, depth: 10, reliability: 1, durability: {durability}, {names}, " \
-        "avoid_ros_namespace_conventions: false}\n"  # fmt: skip
+    return (
+        f"- {{history: 1, depth: 10, reliability: 1, durability: {durability}, {names}, "
+        "avoid_ros_namespace_conventions: false}\n"
+    )

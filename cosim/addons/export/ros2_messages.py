@@ -51,7 +51,8 @@ def definition(kind: str) -> str:
     """The definition of a message, such as `sensor_msgs/msg/PointCloud2`, followed by those of the messages in it."""
     wanted = [kind.replace("/msg/", "/")]
     for name in wanted:  # it grows
-        wanted += [n for n in re.findall(r"^(\w+/\w+)", FIELDS[name], flags=re.MULTILINE) if n not in wanted]
+        parts = re.findall(r"^(\w+/\w+)", FIELDS[name], flags=re.MULTILINE)
+        wanted += [part for part in parts if part not in wanted]
     first, *others = wanted
     parts = [f"{'=' * 80}\nMSG: {name}\n{FIELDS[name]}\n" for name in others]
     return f"{FIELDS[first]}\n" + "".join(parts)

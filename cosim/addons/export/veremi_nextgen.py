@@ -55,7 +55,8 @@ def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> 
     for receiver in receivers:
         got = whole[whole.receiver == receiver]
         if len(got):
-            yield File(f"veh_{receiver}.json", partial(_array, sent, found.own[found.own.vehicle == receiver], got))
+            own = found.own[found.own.vehicle == receiver]
+            yield File(f"veh_{receiver}.json", partial(_array, sent, own, got))
 
 
 def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
@@ -65,20 +66,28 @@ def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> byte
     for state, edge_m in zip(sender, got.edge_m, strict=True):
         state["distance_to_road_edge"] = f"{edge_m:.4f}"
     number = sent.number(got.step.to_numpy(), got.sender.to_numpy())
-    heads = zip(_ns(got.receive_s), _ns(got.send_s), got.vehicle, got.sender, number, got.is_attack, strict=True)
+    receive_ns = _ns(got.receive_s)
+    send_ns = _ns(got.send_s)
     array = []
-    for head, mine, other in zip(heads, receiver, sender, strict=True):
-        receive_ns, send_ns, vehicle, pseudonym, message, attacks = head
-        array.append({
-            "rcvTime": receive_ns, "sendTime": send_ns, "sender_id": f"veh_{vehicle}",
-            "sender_alias": str(pseudonym), "messageID": str(message), "attacker": str(int(attacks)),
-            "receiver": mine, "sender": other,
-        })  # fmt: skip
+    for k, row in enumerate(got.itertuples()):
+        array.append(
+            {
+                "rcvTime": receive_ns[k],
+                "sendTime": send_ns[k],
+                "sender_id": f"veh_{row.vehicle}",
+                "sender_alias": str(row.sender),
+                "messageID": str(number[k]),
+                "attacker": "1" if row.is_attack else "0",
+                "receiver": receiver[k],
+                "sender": sender[k],
+            }
+        )
     return json.dumps(array, indent=1).encode()
 
 
 def _ns(time_s: pd.Series) -> list[str]:
-    return [str(x) for x in np.round(time_s.to_numpy(float) * 1e9).astype(np.int64).tolist()]
+    ns = np.round(time_s.to_numpy(float) * 1e9)
+    return [str(x) for x in ns.astype(np.int64).tolist()]
 
 
 def _noise(run: Run) -> State:

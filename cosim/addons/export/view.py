@@ -20,7 +20,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -33,7 +33,8 @@ import shapely
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.addons.export.export import Sweeper
+from cosim.addons.export.export import Progress, Sweeper, scenario_of
+from cosim.addons.export.frames import normals_of
 from cosim.addons.export.ros2 import turn
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
@@ -41,19 +42,17 @@ from cosim.base.extras import needed
 from cosim.base.plane import turned_by
 from cosim.config.config import Config
 from cosim.runs.replay_lidar import city_of, config_of
-from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.scenario import Scenario
 from results.archive import open_run
 from results.figures import style
 from results.metrics.trust import in_vehicles, server_values
-from results.moments import BOX
+from results.moments import BOX, at_steps
 from results.run import Run
 from results.sensing import interval_steps, senses
 from sensors.boxes import Boxes
 from sensors.raycast.mesh import city_triangles
 from sensors.scene import Scene
 from sumo_nets import network
-
-Progress = Callable[[str, int, int], None]
 
 ZERO, HALF, ONE, GREY = np.array(
     [
@@ -80,7 +79,7 @@ EYE_M = np.array([-35.0, -35.0, 35.0])
 """Vector from the point at which the camera looks first to the camera [m]."""
 MAP_M = 120.0
 """Half of the width that the map shows first [m]."""
-EDGE_SHARE = 1.01
+_EDGE_SHARE = 1.01
 """Size of the edges of a box relative to its faces. Faces of the same size would hide the edges."""
 
 BLOCK_STEPS = 60
@@ -94,9 +93,14 @@ _START_S = 60.0
 
 
 def view(
-    run: Run, out: Path, vehicles: Sequence[int] = (), from_s: float = 0.0, to_s: float | None = None,
-    clouds: bool = True, progress: Progress = lambda what, done, total: None,
-) -> dict[str, Any]:  # fmt: skip
+    run: Run,
+    out: Path,
+    vehicles: Sequence[int] = (),
+    from_s: float = 0.0,
+    to_s: float | None = None,
+    clouds: bool = True,
+    progress: Progress = lambda what, done, total: None,
+) -> dict[str, Any]:
     """Write a recording of a run.
 
     Parameters
@@ -144,9 +148,12 @@ def view(
 
 
 def follow(
-    folder: Path, out: Path | None = None, vehicles: Sequence[int] = (), every_s: float = 1.0,
+    folder: Path,
+    out: Path | None = None,
+    vehicles: Sequence[int] = (),
+    every_s: float = 1.0,
     progress: Progress = lambda what, done, total: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Show a run while another process computes it, block by block, until it ends.
 
     Parameters
@@ -176,7 +183,7 @@ def follow(
             if recording is None:
                 look_m = first_look(run, steps, vehicles)
                 recording = _spawned(look_m) if out is None else _open(out, look_m)
-                surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city_of(config))
+                surroundings(recording, scenario_of(config), city_of(config))
             encounters, trust = _encounters(run), _trust(run)
             for at in range(0, len(steps), BLOCK_STEPS):
                 block = steps[at : at + BLOCK_STEPS]
@@ -231,8 +238,11 @@ def show(recording, option: str, instead: str) -> subprocess.Popen[bytes]:  # ty
         port = int(free.getsockname()[1])
     viewer = subprocess.Popen(
         [sys.executable, "-P", "-m", "rerun_cli", "--bind", _HERE, "--port", str(port), "--hide-welcome-screen"],
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     end_s = time.monotonic() + _START_S
     while time.monotonic() < end_s and viewer.poll() is None:
         with suppress(OSError), socket.create_connection((_HERE, port), timeout=1.0):
@@ -251,12 +261,19 @@ def _encounters(run: Run) -> pd.DataFrame:
 
 
 def _write(  # type: ignore[no-untyped-def]
-    recording, out: Path, run: Run, config: Config, city: Scene, steps: Int[ndarray, "s"], vehicles: Sequence[int],
-    clouds: bool, progress: Progress,
-) -> None:  # fmt: skip
+    recording,
+    out: Path,
+    run: Run,
+    config: Config,
+    city: Scene,
+    steps: Int[ndarray, "s"],
+    vehicles: Sequence[int],
+    clouds: bool,
+    progress: Progress,
+) -> None:
     """Write the whole recording. An OSError is raised if the disk is nearly full, because the SDK might then hang."""
     _require_space(out)
-    surroundings(recording, find(config.traffic.scenario, config.traffic.trace), city)
+    surroundings(recording, scenario_of(config), city)
     sweeper = Sweeper(run, config, city, steps)
     encounters, trust = _encounters(run), _trust(run)
     for at in range(0, len(steps), BLOCK_STEPS):
@@ -287,7 +304,7 @@ def first_look(
     It is the first position of the first of `vehicles` in these steps. If there is none, it is the position of the
     first lie, otherwise the median position of all actors in the first step, otherwise the origin.
     """
-    where = pc.field("step").isin(steps.tolist())
+    where = at_steps(steps)
     is_first = pc.field("actor").isin(list(vehicles[:1]))
     look = run.table("actors", ["step", *BOX[:3]], where & is_first)
     if look.empty:
@@ -354,26 +371,29 @@ def surroundings(recording, scenario: Scenario, city: Scene) -> None:  # type: i
     recording.log("city", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     triangles = city_triangles(city)
     if len(triangles):
-        corner = triangles.reshape(-1, 3, 3)
-        a, b, c = corner.swapaxes(0, 1)
-        normal = np.cross(b - a, c - a)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        normals = normals_of(triangles.reshape(-1, 3, 3))
         mesh = rerun.Mesh3D(
-            vertex_positions=corner.reshape(-1, 3), albedo_factor=[205, 203, 196, 255],
-            vertex_normals=np.repeat(normal, 3, axis=0),  # without them there is no shading
-        )  # fmt: skip
+            vertex_positions=triangles.reshape(-1, 3),
+            albedo_factor=[205, 203, 196, 255],
+            vertex_normals=np.repeat(normals, 3, axis=0),  # without them there is no shading
+        )
         recording.log("city/buildings", mesh, static=True)
         xy, ring = shapely.get_coordinates(shapely.get_rings(city.footprints), return_index=True)
-        outlines = strips(xy * [1.0, -1.0], np.bincount(ring))
+        outlines = strips(on_map(xy), np.bincount(ring))
         recording.log("map/buildings", rerun.LineStrips2D(outlines, colors=[170, 170, 165], radii=0.4), static=True)
     if scenario.net is not None:
         lanes = [lane.line_m[:, :2] for lane in network.lanes(scenario.net)]
         xy = np.concatenate([np.zeros((0, 2)), *lanes]) - scenario.origin_m
         n_points = list(map(len, lanes))
-        flat = strips(xy * [1.0, -1.0], n_points)
+        flat = strips(on_map(xy), n_points)
         recording.log("map/streets", rerun.LineStrips2D(flat, colors=[150, 150, 156], radii=0.6), static=True)
         high = strips(np.column_stack([xy, np.full(len(xy), 0.02)]), n_points)
         recording.log("city/streets", rerun.LineStrips3D(high, colors=[150, 150, 156], radii=0.15), static=True)
+
+
+def on_map(xyz_m: Float[ndarray, "n _"]) -> Float[ndarray, "n 2"]:
+    """Places on the map, whose second axis points downwards."""
+    return xyz_m[:, :2] * [1.0, -1.0]
 
 
 def strips(
@@ -433,10 +453,9 @@ def _block(  # type: ignore[no-untyped-def]
     """Write a block of steps."""
     import rerun
 
-    where = pc.field("step").isin(steps.tolist())
     columns = ["vehicle", "length_m", "width_m", "height_m"]
     bodies = run.table("vehicles", columns).set_index("vehicle")
-    actors = run.table("actors", where=where).sort_values(["step", "actor"]).join(bodies, on="actor")
+    actors = run.table("actors", where=at_steps(steps)).sort_values(["step", "actor"]).join(bodies, on="actor")
     shown = _last_sensed(run, steps, vehicles)
     here = dict(iter(actors.groupby("step")))
     for step in steps.tolist():
@@ -447,12 +466,7 @@ def _block(  # type: ignore[no-untyped-def]
             value = in_vehicles(run, step).reindex(number).to_numpy()
             boxes = _boxes(now)
             roles, rated = role_colours(run, number), colours(value)
-            recording.log("city/actors", drawn_boxes(boxes, roles, solid=True))
-            edges = Boxes(boxes.xyz_m, boxes.lwh_m * EDGE_SHARE, boxes.yaw_rad)
-            recording.log("city/edges", drawn_boxes(edges, rated))
-            flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
-            recording.log("map/rings", rerun.Points2D(flat, colors=rated, radii=3.0, draw_order=30.0))
-            recording.log("map/actors", rerun.Points2D(flat, colors=roles, radii=2.0, draw_order=31.0))
+            flat = log_actors(recording, boxes, roles, rated)
             met = encounters[(encounters.start_step <= step) & (encounters.end_step > step)]
             met = met[met.a.isin(number) & met.b.isin(number)]
             ends = [np.searchsorted(number, met[end].to_numpy()) for end in ("a", "b")]
@@ -472,7 +486,7 @@ def _block(  # type: ignore[no-untyped-def]
             boxes = _boxes(rows)
             recording.log(f"city/{name}", drawn_boxes(boxes, np.array(colour, np.uint8)))
             if name == "fabricated":
-                flat = boxes.xyz_m[:, :2] * [1.0, -1.0]
+                flat = on_map(boxes.xyz_m)
                 recording.log(f"map/{name}", rerun.Points2D(flat, colors=colour, radii=4.0))
         if now is None or sweeper is None:
             continue
@@ -542,10 +556,28 @@ def _received(run: Run, where: pc.Expression, vehicles: Sequence[int]) -> pd.Dat
     is_cpm = pc.field("message_type") == "cpm"
     mine = where & is_cpm & pc.field("receiver").isin(list(vehicles))
     got = run.table("receptions", ["step", "message_step", "sender", "receiver"], mine).drop_duplicates()
-    when = pc.field("step").isin(got.message_step.unique().tolist())
+    when = at_steps(got.message_step.unique())
     sent = run.table("detections", ["step", "observer", *BOX, "transmitted"], when)
     sent = sent[sent.transmitted].rename(columns={"step": "message_step", "observer": "sender"})
     return sent.merge(got, on=["message_step", "sender"])
+
+
+def log_actors(  # type: ignore[no-untyped-def]
+    recording,
+    boxes: Boxes,
+    inks: UInt8[ndarray, "n _"],
+    rated: UInt8[ndarray, "n _"],
+) -> Float[ndarray, "n 2"]:
+    """Log actors in the city, with edges in the colours of trust, and on the map; return their places on the map."""
+    import rerun
+
+    recording.log("city/actors", drawn_boxes(boxes, inks, solid=True))
+    edges = Boxes(boxes.xyz_m, boxes.lwh_m * _EDGE_SHARE, boxes.yaw_rad)
+    recording.log("city/edges", drawn_boxes(edges, rated))
+    flat = on_map(boxes.xyz_m)
+    recording.log("map/rings", rerun.Points2D(flat, colors=rated, radii=3.0, draw_order=30.0))
+    recording.log("map/actors", rerun.Points2D(flat, colors=inks, radii=2.0, draw_order=31.0))
+    return flat
 
 
 def drawn_boxes(boxes: Boxes, colour: UInt8[ndarray, "..."], solid: bool = False):  # type: ignore[no-untyped-def]

@@ -26,8 +26,10 @@ class Company(NamedTuple):
 
     @staticmethod
     def measured(
-        p: Float[ndarray, "k"], subject: Int[ndarray, "k"], lookups: Float[ndarray, "k"]
-    ) -> "Company":  # fmt: skip
+        p: Float[ndarray, "k"],
+        subject: Int[ndarray, "k"],
+        lookups: Float[ndarray, "k"],
+    ) -> "Company":
         """The chain of a replay.
 
         Parameters
@@ -41,7 +43,8 @@ class Company(NamedTuple):
         """
         state = (p < 0.5).astype(np.int64)
         same = subject[1:] == subject[:-1]
-        now, next_one = state[:-1][same], state[1:][same]
+        now = state[:-1][same]
+        next_one = state[1:][same]
         n = np.bincount(now, minlength=2)
         changed = np.bincount(now, now != next_one, 2)
         asked = np.bincount(state, lookups, 2)
@@ -54,7 +57,8 @@ class Company(NamedTuple):
     @property
     def mean_p(self) -> float:
         """Probability that the newest sweep of the subject of a lookup is evaluated."""
-        return self.looked_up * self.p[0] + (1 - self.looked_up) * self.p[1]
+        company_p, alone_p = self.p
+        return self.looked_up * company_p + (1 - self.looked_up) * alone_p
 
     def in_company(self, sweeps: float) -> float:
         """Probability that the subject of a lookup was in company so many sweeps ago."""
@@ -104,7 +108,8 @@ def closed_form(
                 break
             there = company.in_company((shift + (sense_every_steps + 1) / 2) / sense_every_steps)
             gap = there * gaps[0] + (1 - there) * gaps[1]
-            age[shift : shift + len(gap)] += (1 - loss_p) * loss_p**lost * gap
+            lost_p = (1 - loss_p) * loss_p**lost
+            age[shift : shift + len(gap)] += lost_p * gap
     age = age[:n_ages]
     return age / age.sum() if age.sum() > 0 else age
 

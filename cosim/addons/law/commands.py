@@ -14,6 +14,8 @@ from cosim.cli.help import Commands
 if TYPE_CHECKING:
     from cosim.addons.law.prediction import Prediction
 
+Points = list[tuple[Any, "Prediction"]]
+"""Keys and prediction of each point of a study."""
 predict = Commands(help="Predict what a study would measure, from traffic alone.")
 
 _SHORT = {
@@ -136,8 +138,10 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
     if path.suffix != ".toml":
         raise ValueError(f"--grid {path}: the name of a study file to write, which ends in .toml.")
     study, found = propose(experiment, path.stem, advance)
-    head = ["# Chosen by `cosim predict freshness`. Predicted median and 90th percentile of the age of the newest",
-            "# evaluation at lookup [s], and share of lookups without a value:"]  # fmt: skip
+    head = [
+        "# Chosen by `cosim predict freshness`. Predicted median and 90th percentile of the age of the newest",
+        "# evaluation at lookup [s], and share of lookups without a value:",
+    ]
     names = (*list(_SHORT)[:2], "freshness.lookup_state.share:no value")
     for keys, p in found:
         point = ", ".join(f"{key} = {value:g}" for key, value in keys.items())
@@ -147,12 +151,13 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
     screen.print(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER", soft_wrap=True)
 
 
-def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float]] | None) -> Table:
+def _table(found: Points, measured: list[dict[str, float]] | None) -> Table:
     keys = list(dict.fromkeys(key for swept, _ in found for key in swept))
     title = "freshness of trust at lookup, predicted"
     if measured is not None:
         title += f" / measured{_REPLICATE if keys else ''}"
-    table = Table(*keys, *(() if keys else ("variant",)), *_SHORT.values(), title=title, title_justify="left", box=None)
+    columns = [*(keys or ["variant"]), *_SHORT.values()]
+    table = Table(*columns, title=title, title_justify="left", box=None)
     for number, (swept, p) in enumerate(found):
         cells = [str(swept[key]) for key in keys] if keys else [p.variant]
         for name in _SHORT:
@@ -168,7 +173,7 @@ def _table(found: list[tuple[Any, "Prediction"]], measured: list[dict[str, float
 
 def _draw(
     path: Path,
-    found: list[tuple[Any, "Prediction"]],
+    found: Points,
     against: Path | None,
     measured: list[dict[str, float]] | None,
 ) -> None:
@@ -185,6 +190,7 @@ def _draw(
         for keys, p in found:
             point = ", ".join(f"{key} = {value}" for key, value in keys.items())
             curves.append(law.Curve(point or p.variant, p.age_s, p.newest))
-        simulation = [] if against is None else law.measured(against, [p.variant for _, p in found])
+        variants = [p.variant for _, p in found]
+        simulation = [] if against is None else law.measured(against, variants)
         figure = law.draw(curves, simulation)
     notes.print(f"wrote {style.save(figure, path)}", soft_wrap=True)

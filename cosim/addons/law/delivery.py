@@ -138,7 +138,12 @@ class Delivery:
             )
         return Delivery(config.radio, config.seed, los)
 
-    def links(self, world: World, row: Int[ndarray, "e"], sends: Bool[ndarray, "e"] | None = None) -> LinkPairs:
+    def links(
+        self,
+        world: World,
+        row: Int[ndarray, "e"],
+        sends: Bool[ndarray, "e"] | None = None,
+    ) -> LinkPairs:
         """Links between the vehicles in these rows of the world, from those that send; None if all do."""
         stations = stations_of(world, row, NO_RSUS, self.params.antenna_above_roof_m)
         sends = np.ones(len(row), bool) if sends is None else sends
@@ -228,7 +233,8 @@ def received_p(
     """
     low, table = _success(params)
     level = np.clip((power_dbm - low) / _DB_STEP, 0, table.shape[2] - 1.001)
-    size = np.clip(length_bytes / 64, 0, table.shape[1] - 1).astype(np.int64)
+    size = np.clip(length_bytes / 64, 0, table.shape[1] - 1)
+    size = size.astype(np.int64)
     i = level.astype(np.int64)
     t = level - i
     below = table[fading, size, i]

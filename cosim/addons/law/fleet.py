@@ -210,10 +210,14 @@ class Fleet:
         self.reports = self.reports.then(newest, sender, actor)
         self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p)
         self._look_up(subjects, subject_step, self.reports.by(sender))
-        for name, value in (
-            ("equipped", n), ("sweeps", len(mine)), ("links", len(told_p)), ("delivered", told_p.sum()),
-            ("evaluators", evaluated_p.sum()),
-        ):  # fmt: skip
+        counts = {
+            "equipped": n,
+            "sweeps": len(mine),
+            "links": len(told_p),
+            "delivered": told_p.sum(),
+            "evaluators": evaluated_p.sum(),
+        }
+        for name, value in counts.items():
             self.inputs[name] = self.inputs.get(name, 0.0) + float(value)
 
     def _received(
@@ -222,7 +226,8 @@ class Fleet:
         sender, receiver = row[links.sender], row[links.receiver]
         xy_m = world.boxes.xyz_m[:, :2]
         between_m = xy_m[sender] - xy_m[receiver]
-        return NewestReceived(world.actor[sender], world.actor[receiver], p, np.hypot(*between_m.T))
+        apart_m = np.hypot(*between_m.T)
+        return NewestReceived(world.actor[sender], world.actor[receiver], p, apart_m)
 
     def _evaluate(
         self,
@@ -246,8 +251,8 @@ class Fleet:
         of = s[kept]
         reported_p = evaluated_p[kept] * self.arrived_p[-1]
         made = np.full(len(kept), self.step)
-        log_none_of_pair = _log_not(reported_p)
-        self.pairs.append((subjects[of], evaluator[kept], subject_step[of], made, log_none_of_pair))
+        of_pair = subjects[of], evaluator[kept], subject_step[of]
+        self.pairs.append((*of_pair, made, _log_not(reported_p)))
 
     def _look_up(self, subjects: Int[ndarray, "e"], subject_step: Int[ndarray, "e"], heard: NewestReceived) -> None:
         """Add the lookups of this step: by the receivers of these messages, about their senders."""
@@ -332,7 +337,9 @@ class Fleet:
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
         found = FleetFindings(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
         loss_p = self.config.server.cellular.downlink_loss_p
-        servers = [(of, self.gates[of.period_s], looks.get(of.period_s)) for of in self.servers]
+        servers = []
+        for of in self.servers:
+            servers.append((of, self.gates[of.period_s], looks.get(of.period_s)))
         made = [predicted(of, self.config, found, gate, looked) for of, gate, looked in servers]
         runs: list[list[Values]] = [[] for _ in servers]
         random = np.random.default_rng(self.config.seed)
@@ -375,7 +382,8 @@ class Fleet:
         )
 
     def _pair_steps(self, actors: ndarray) -> tuple[law.PairSteps, Int[ndarray, "k"]]:
-        subject, evaluator, step, made, log_none = map(np.concatenate, zip(*self.pairs, strict=True))
+        columns = map(np.concatenate, zip(*self.pairs, strict=True))
+        subject, evaluator, step, made, log_none = columns
         keys, pair = np.unique(subject.astype(np.int64) << 32 | evaluator, return_inverse=True)
         subjects = np.searchsorted(actors, keys >> 32)
         return law.PairSteps(step, made, subjects[pair], pair.reshape(-1), log_none), subjects

@@ -82,13 +82,17 @@ def predict_study(study: Study, where: str, advance: Advance, n_fleets: int = 0)
         evidence = TrustParams(self_reports=config.trust.self_reports)
         server = server_of(f"point {number}", config.trust, config)
         config = replace(config, trust=evidence)
-        found = next((k for k, of in enumerate(experiments) if of.config == config), len(experiments))
-        if found == len(experiments):
+        configs = [of.config for of in experiments]
+        if config not in configs:
+            configs.append(config)
             experiments.append(Experiment(config, ()))
-        places.append((found, len(experiments[found].servers)))
-        experiments[found] = Experiment(config, (*experiments[found].servers, server))
+        found = configs.index(config)
+        servers = experiments[found].servers
+        places.append((found, len(servers)))
+        experiments[found] = Experiment(config, (*servers, server))
     made = predict_all(experiments, advance, n_fleets)
-    return [(keys, made[i].predictions[k]) for keys, (i, k) in zip(combinations, places, strict=True)]
+    predictions = [made[i].predictions[k] for i, k in places]
+    return list(zip(combinations, predictions, strict=True))
 
 
 def predict_all(experiments: Sequence[Experiment], advance: Advance, n_fleets: int) -> list[Predicted]:
@@ -110,13 +114,14 @@ def _of_traffic(experiments: Sequence[Experiment], advance: Advance, n_fleets: i
     scenarios = [check(of.config) for of in experiments]
     parts, _, traffic = running.load_parts(first, scenarios[0])
     try:
-        every = [parts, *(parts.under(of.config) for of in experiments[1:])]
-        fleets = [
-            [Fleet.of(of.config, of.servers, own, number) for number in range(1 + n_fleets)]
-            for of, own in zip(experiments, every, strict=True)
-        ]
+        every = [parts]
+        every += [parts.under(of.config) for of in experiments[1:]]
+        fleets = []
+        for of, own in zip(experiments, every, strict=True):
+            numbers = range(1 + n_fleets)
+            fleets.append([Fleet.of(of.config, of.servers, own, number) for number in numbers])
         for world in _worlds(first, parts, scenarios[0], traffic, advance):
-            for fleet in (one for of_experiment in fleets for one in of_experiment):
+            for fleet in chain.from_iterable(fleets):
                 fleet.add(world)
     finally:
         traffic.close()
@@ -125,7 +130,10 @@ def _of_traffic(experiments: Sequence[Experiment], advance: Advance, n_fleets: i
 
 def _joined(fleets: Sequence[Fleet]) -> Predicted:
     """The predictions of the first fleet, with intervals from runs of all fleets in turn."""
-    found = [fleet.predictions(len(range(k, N_DRAWS, len(fleets)))) for k, fleet in enumerate(fleets)]
+    found = []
+    for k, fleet in enumerate(fleets):
+        n_draws = len(range(k, N_DRAWS, len(fleets)))
+        found.append(fleet.predictions(n_draws))
     made, _, inputs = found[0]
     by_server = zip(*(runs for _, runs, _ in found), strict=True)
     predictions = []

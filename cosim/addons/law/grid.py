@@ -22,7 +22,11 @@ _AGES = ("freshness.newest_evaluation_age.median_s", "freshness.newest_evaluatio
 _STATES = ("freshness.lookup_state.share:evaluated", "freshness.lookup_state.share:no value")
 
 
-def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tuple[Keys, Prediction]]]:
+def propose(
+    config: Config,
+    name: str,
+    advance: Advance,
+) -> tuple[Study, list[tuple[Keys, Prediction]]]:
     """Choose penetrations, server periods and windows for a study of a config.
 
     Every combination of `PENETRATIONS`, `PERIODS_S` and `WINDOWS_S` is predicted from one replay of the traffic. On
@@ -52,19 +56,37 @@ def propose(config: Config, name: str, advance: Advance) -> tuple[Study, list[tu
     full = _study(name, base, values)
     predicted = predict_study(full, name, advance)
     kept = {key: _apart(predicted, key, given) for key, given in values.items()}
-    chosen = [(keys, p) for keys, p in predicted if all(keys[key] in some for key, some in kept.items())]
+    chosen = []
+    for keys, p in predicted:
+        if all(keys[key] in some for key, some in kept.items()):
+            chosen.append((keys, p))
     return _study(name, base, kept), chosen
 
 
-def _study(name: str, base: dict[str, Any], values: Mapping[str, Sequence[float]]) -> Study:
+def _study(
+    name: str,
+    base: dict[str, Any],
+    values: Mapping[str, Sequence[float]],
+) -> Study:
     question = "Does the law of freshness hold here? cosim predict freshness chose the grid."
+    axes = []
+    for key, given in values.items():
+        axes.append(tuple({key: value} for value in given))
     return Study(
-        Head(name=name, question=question), Limits(), Keep(topics=("traffic", "freshness", "radio")), Measuring(), base,
-        tuple(tuple({key: value} for value in given) for key, given in values.items()),
-    )  # fmt: skip
+        Head(name=name, question=question),
+        Limits(),
+        Keep(topics=("traffic", "freshness", "radio")),
+        Measuring(),
+        base,
+        tuple(axes),
+    )
 
 
-def _apart(predicted: Sequence[tuple[Keys, Prediction]], key: str, values: Sequence[float]) -> tuple[float, ...]:
+def _apart(
+    predicted: Sequence[tuple[Keys, Prediction]],
+    key: str,
+    values: Sequence[float],
+) -> tuple[float, ...]:
     """The values of one axis between which freshness changes, the first one included."""
 
     def at(value: float, names: Sequence[str]) -> np.ndarray:

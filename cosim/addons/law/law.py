@@ -166,9 +166,15 @@ def ages(evidence: EvidenceChances, looks: ExpectedLookups, window_steps: int, s
     out = np.zeros((3, n_steps + 1))
     none_p = np.exp(evidence.log_none)
     unknown = _ages(
-        none_p, evidence.lag_class(min(window_steps, n_steps + 1)), since, looks.subject, looks.step,
-        looks.publication, looks.n, out,
-    )  # fmt: skip
+        none_p,
+        evidence.lag_class(min(window_steps, n_steps + 1)),
+        since,
+        looks.subject,
+        looks.step,
+        looks.publication,
+        looks.n,
+        out,
+    )
     return AgeCounts(out[0], out[1], out[2], *unknown)
 
 

@@ -39,10 +39,12 @@ class NewestReceived:
         """
         are_present = np.isin(self.sender, present) & np.isin(self.receiver, present)
         kept = np.flatnonzero(~np.isin(self.sender, senders) & are_present)
-        return NewestReceived(*(
-            np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
-            for name in ("sender", "receiver", "p", "apart_m")
-        ))  # fmt: skip
+        return NewestReceived(
+            *(
+                np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
+                for name in ("sender", "receiver", "p", "apart_m")
+            )
+        )
 
     def by(self, receivers: Int[ndarray, "r"]) -> "NewestReceived":
         """The messages that these vehicles have received."""
@@ -50,7 +52,12 @@ class NewestReceived:
 
     def chosen(self, rows: Bool[ndarray, "p"]) -> "NewestReceived":
         """Some of the pairs."""
-        return NewestReceived(self.sender[rows], self.receiver[rows], self.p[rows], self.apart_m[rows])
+        return NewestReceived(
+            self.sender[rows],
+            self.receiver[rows],
+            self.p[rows],
+            self.apart_m[rows],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +92,13 @@ class SweepTimes:
             Actor numbers of all equipped vehicles, ascending.
         """
         new, old = actor[views.own], self.views
-        kept = np.flatnonzero(~np.isin(old.own, new) & np.isin(old.own, present))
+        stays = ~np.isin(old.own, new) & np.isin(old.own, present)
+        kept = np.flatnonzero(stays)
         own = np.concatenate([old.own[kept], new])
         order = np.argsort(own)
         begin_new = len(old.body) + views.ptr[:-1]
-        count = np.concatenate([np.diff(old.ptr)[kept], np.diff(views.ptr)])[order]
+        n_old = np.diff(old.ptr)[kept]
+        count = np.concatenate([n_old, np.diff(views.ptr)])[order]
         start = np.concatenate([old.ptr[kept], begin_new])[order]
         rows = ranges(start, count)
         joined = ViewTimes(

@@ -190,8 +190,13 @@ def chances(views: ViewTimes, subject: Int[ndarray, "p"], evaluator: Int[ndarray
 @compiled
 def _chances(views, subject, evaluator, self_reports, found):
     own, ptr, body, seen_p, inside, detected_p = (
-        views.own, views.ptr, views.body, views.seen_p, views.inside, views.detected_p
-    )  # fmt: skip
+        views.own,
+        views.ptr,
+        views.body,
+        views.seen_p,
+        views.inside,
+        views.detected_p,
+    )
     for pair in range(len(subject)):
         s, v = subject[pair], evaluator[pair]
         none, n_listed = 1.0, 0.0

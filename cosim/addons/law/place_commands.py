@@ -46,21 +46,27 @@ def roadside(
     if count > len(sites):
         raise ValueError(f"--count {count}: the network has {len(sites)} junctions. Give a smaller number.")
     if random:
-        names = [junction.name for junction in drawn(Streets(sites, (0, 0, 0, 0)), experiment.seed)[:count]]
         by_name = {junction.name: c for c, junction in enumerate(sites)}
-        chosen = [by_name[name] for name in names]
+        in_order = drawn(Streets(sites, (0, 0, 0, 0)), experiment.seed)
+        chosen = [by_name[junction.name] for junction in in_order[:count]]
     else:
         chosen = greedy(coverage, count)
     interval_s = experiment.sensing_interval_s
     rows = []
     for n in range(1, len(chosen) + 1):
-        median, p90 = (interval_s * steps for steps in coverage.ages(chosen[:n], (0.5, 0.9)))
+        median, p90 = coverage.ages(chosen[:n], (0.5, 0.9))
         share = coverage.value(chosen[:n]) / (coverage.cap * coverage.weight.sum())
         site = sites[chosen[n - 1]]
-        rows.append({
-            "n": n, "junction": site.name, "at": list(site.xyz_m[:2]), "objective": share, "median_s": median,
-            "p90_s": p90,
-        })  # fmt: skip
+        rows.append(
+            {
+                "n": n,
+                "junction": site.name,
+                "at": list(site.xyz_m[:2]),
+                "objective": share,
+                "median_s": interval_s * median,
+                "p90_s": interval_s * p90,
+            }
+        )
     if as_json:
         print_json({"cap_s": interval_s * coverage.cap, "junctions": len(sites), "units": rows})
         return
@@ -69,8 +75,10 @@ def roadside(
             f"# with the first {row['n']}: newest sight {row['median_s']:.3g} s old in the median, "
             f"{row['p90_s']:.3g} s in the 90th percentile, at most {interval_s * coverage.cap:g} s; "
             f"objective {row['objective']:.3f}",
-            soft_wrap=True, markup=False, highlight=False,
-        )  # fmt: skip
+            soft_wrap=True,
+            markup=False,
+            highlight=False,
+        )
     listed = ", ".join(f'"{row["junction"]}"' for row in rows)
     section = f'[[roadside]]\njunctions = {len(rows)}\nchoose = "listed"\nlisted = [{listed}]\nheight_m = {height:g}\n'
     screen.print(section, soft_wrap=True, markup=False, highlight=False)
@@ -78,4 +86,5 @@ def roadside(
     where = "into the config"
     if experiment.roadside:
         where = "in place of [[roadside]] in the config: the units that it has do not count here"
-    notes.print(f"{len(rows)} of {len(sites)} junctions, {how}. Put the section {where}.", soft_wrap=True)
+    placed = f"{len(rows)} of {len(sites)} junctions, {how}"
+    notes.print(f"{placed}. Put the section {where}.", soft_wrap=True)

@@ -13,7 +13,7 @@ References
 """
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,14 +25,12 @@ from cosim.base.ragged import ptr_of
 from cosim.config.config import Config
 from cosim.runs import run as running
 from cosim.runs.check import check
-from cosim.runs.drive import warm_up
+from cosim.runs.drive import Advance, warm_up
 from cosim.traffic.source import TrafficEnded
 from cosim.world import World
 from sensors.line_of_sight import WallIndex
 from sensors.scene import Shape
 from sumo_nets.network import Junction, junctions
-
-Advance = Callable[[str, int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,9 +77,10 @@ def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Pred
         values = np.array([run[name] for run in runs])
         values = values[np.isfinite(values)]
         if len(values) and np.isfinite(value):
-            error = MODEL_ERROR[name] * (1.0 if "share" in name else value)
+            scale, largest = (1.0, 1.0) if "share" in name else (value, np.inf)
+            error = MODEL_ERROR[name] * scale
             low[name] = max(0.0, float(values.min()) - error)
-            high[name] = min(float(values.max()) + error, 1.0 if "share" in name else np.inf)
+            high[name] = min(float(values.max()) + error, largest)
     return replace(own, low=low, high=high)
 
 
@@ -125,12 +126,21 @@ def predicted(
     counts, metrics = counted(server, found, gate, looks, age_s, loss_p)
     window = min(server.window_steps, n_steps)
     closed = closed_form(found.company, gate.period_steps, window, loss_p, n_steps + 1, every)
-    names = list(METRICS)[:2]
+    median, p90 = list(METRICS)[:2]
     return Prediction(
-        variant=server.name, period_s=server.period_s, window_s=server.window_s, age_s=age_s, newest=counts.newest,
-        oldest=counts.oldest, value=counts.value, metrics=metrics,
-        closed={name: law.quantile(age_s, closed, share) for name, share in zip(names, (0.5, 0.9), strict=True)},
-    )  # fmt: skip
+        variant=server.name,
+        period_s=server.period_s,
+        window_s=server.window_s,
+        age_s=age_s,
+        newest=counts.newest,
+        oldest=counts.oldest,
+        value=counts.value,
+        metrics=metrics,
+        closed={
+            median: law.quantile(age_s, closed, 0.5),
+            p90: law.quantile(age_s, closed, 0.9),
+        },
+    )
 
 
 def counted(
@@ -161,7 +171,8 @@ def counted(
         evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag)
     is_fresh = age_s < server.window_s
     known = counts.newest.sum()
-    fresh, stale = counts.newest[is_fresh].sum(), counts.newest[~is_fresh].sum()
+    fresh = counts.newest[is_fresh].sum()
+    stale = counts.newest[~is_fresh].sum()
     unevaluated = counts.n_unseen if server.zero else 0.0
 
     def share(n: float) -> float:
@@ -182,5 +193,7 @@ def counted(
             evidence, found.meetings, gate, server.window_steps, loss_p
         ),
     }
-    rounded = {name: 0.0 if value < _LEAST else float(value) for name, value in metrics.items()}
+    rounded = {}
+    for name, value in metrics.items():
+        rounded[name] = 0.0 if value < _LEAST else float(value)
     return counts, rounded

@@ -56,7 +56,8 @@ def servers_of(config: Config) -> list[Server]:
                 f"{key} = {value!r}: the law of freshness covers {key} = {allowed[0]!r} only (cosim/docs/pages/models/"
                 "freshness-law.md says what it covers). Change it, or simulate."
             )
-    variants = [(BASE_VARIANT, config.trust), *((v.name, v.trust) for v in config.trust_variant)]
+    variants = [(BASE_VARIANT, config.trust)]
+    variants += [(v.name, v.trust) for v in config.trust_variant]
     return [server_of(name, trust, config) for name, trust in variants]
 
 

@@ -79,7 +79,8 @@ def build(recipe_path: Path, source: Path | None, out: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
         work = Path(name)
         box = recipe["source"].get("box")
-        extract = osm_files.read(_source(recipe["source"], source, work), tuple(box) if box else None)
+        file = _source(recipe["source"], source, work)
+        extract = osm_files.read(file, tuple(box) if box else None)
         make(recipe, text, extract, work, out)
 
 
@@ -126,9 +127,11 @@ def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
 
 def write_checksums(folder: Path) -> None:
     """Write SHA256SUMS of every data file in a city's folder (`sha256sum -c` reads it)."""
-    files = sorted(path for path in folder.iterdir() if path.name not in ("SHA256SUMS", "README.md"))
-    lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in files if path.is_file()]
-    (folder / "SHA256SUMS").write_text("".join(lines), encoding="utf-8", newline="\n")
+    text = ""
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.name not in ("SHA256SUMS", "README.md"):
+            text += f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
+    (folder / "SHA256SUMS").write_text(text, encoding="utf-8", newline="\n")
 
 
 def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
@@ -163,8 +166,10 @@ def _source(wanted: dict[str, Any], given: Path | None, work: Path) -> Path:
 
 
 def network(
-    recipe: dict[str, Any], extract: osm.Extract, work: Path
-) -> tuple[frozenset[str], dict[str, streets.LeftOut]]:  # fmt: skip
+    recipe: dict[str, Any],
+    extract: osm.Extract,
+    work: Path,
+) -> tuple[frozenset[str], dict[str, streets.LeftOut]]:
     """Write the streets of an extract to `net.net.xml` in `work`.
 
     Returns
@@ -173,18 +178,27 @@ def network(
     """
     choice = recipe["streets"]
     chosen = streets.drivable(
-        extract, frozenset(choice["classes"]), frozenset(choice["ignored_tags"]), choice["gate_edge_m"],
+        extract,
+        frozenset(choice["classes"]),
+        frozenset(choice["ignored_tags"]),
+        choice["gate_edge_m"],
         choice.get("dead_ends", False),
-    )  # fmt: skip
+    )
     _LOG.info("%d street pieces", len(chosen.ways))
     restrictions = [r for r in extract.relations.values() if r.tags.get("type") == "restriction"]
     osm.write(work / "streets.osm.xml", extract.place, extract.node_tags, chosen.ways, restrictions)
-    joins = "".join(f'    <join nodes="{" ".join(map(str, join["nodes"]))}"/>\n' for join in recipe.get("join", []))
+    joins = ""
+    for join in recipe.get("join", []):
+        nodes = " ".join(map(str, join["nodes"]))
+        joins += f'    <join nodes="{nodes}"/>\n'
     (work / "joins.nod.xml").write_text(f"<nodes>\n{joins}</nodes>\n", encoding="utf-8")
-    maps = ",".join(str(sumotools.home() / "data" / "typemap" / name) for name in choice["typemaps"])
+    maps = sumotools.home() / "data" / "typemap"
     files = {
-        "osm-files": "streets.osm.xml", "node-files": "joins.nod.xml", "type-files": maps, "output-file": "net.net.xml",
-    }  # fmt: skip
+        "osm-files": "streets.osm.xml",
+        "node-files": "joins.nod.xml",
+        "type-files": ",".join(str(maps / name) for name in choice["typemaps"]),
+        "output-file": "net.net.xml",
+    }
     sumotools.run("netconvert", files | recipe["netconvert"], work)
     left_out = chosen.left_out
     if recipe["netconvert"].get("output.original-names"):
@@ -220,7 +234,12 @@ def _demand(recipe: dict[str, Any], extract: osm.Extract, gates: frozenset[str],
     route(roads, gate_flows(net, roads, wanted), wanted, work)
 
 
-def route(roads: list[demand.Street], flows: list[GateFlow], wanted: dict[str, Any], work: Path) -> None:
+def route(
+    roads: list[demand.Street],
+    flows: list[GateFlow],
+    wanted: dict[str, Any],
+    work: Path,
+) -> None:
     """Draw trips, find their routes and write `demand.rou.xml` in `work`, which contains the network."""
     seed, end_s = wanted["seed"], wanted["end_s"]
     walkable = any(street.walkable for street in roads)
@@ -230,11 +249,17 @@ def route(roads: list[demand.Street], flows: list[GateFlow], wanted: dict[str, A
     trips += gate_trips(flows, seed, end_s)
     demand.write_trips(work / "trips.rou.xml", trips)
     options = {
-        "net-file": "net.net.xml", "additional-files": VEHICLE_TYPES,
-        "route-files": "trips.rou.xml", "output-file": "demand.rou.xml", "alternatives-output": "NUL",
-        "vtype-output": "vtypes.out.xml", "ignore-errors": True, "no-step-log": True, "seed": wanted["seed"],
+        "net-file": "net.net.xml",
+        "additional-files": VEHICLE_TYPES,
+        "route-files": "trips.rou.xml",
+        "output-file": "demand.rou.xml",
+        "alternatives-output": "NUL",
+        "vtype-output": "vtypes.out.xml",
+        "ignore-errors": True,
+        "no-step-log": True,
+        "seed": wanted["seed"],
         "weights.random-factor": wanted["route_choice"],
-    }  # fmt: skip
+    }
     said = sumotools.run("duarouter", options, work)
     _LOG.info("%d trips, %d without a route left out", len(trips), said.count("has no valid route"))
 

@@ -23,12 +23,23 @@ BOUNDARY_M = 120.0
 
 REBUILD: dict[str, Any] = {
     "remove-edges.by-vclass": "rail,rail_urban,rail_electric,rail_fast,subway",
-    "junctions.join": True, "no-turnarounds.except-deadend": True, "no-warnings": True,
-    "tls.rebuild": True, "tls.default-type": "actuated", "tls.min-dur": 5, "tls.max-dur": 40, "tls.join": True,
-    "tls.discard-simple": True, "tls.ignore-internal-junction-jam": True,
-    "sidewalks.guess": True, "sidewalks.guess.min-speed": 1, "sidewalks.guess.max-speed": 16,
-    "default.sidewalk-width": 2.0, "crossings.guess": True, "check-lane-foes.all": True,
-}  # fmt: skip
+    "junctions.join": True,
+    "no-turnarounds.except-deadend": True,
+    "no-warnings": True,
+    "tls.rebuild": True,
+    "tls.default-type": "actuated",
+    "tls.min-dur": 5,
+    "tls.max-dur": 40,
+    "tls.join": True,
+    "tls.discard-simple": True,
+    "tls.ignore-internal-junction-jam": True,
+    "sidewalks.guess": True,
+    "sidewalks.guess.min-speed": 1,
+    "sidewalks.guess.max-speed": 16,
+    "default.sidewalk-width": 2.0,
+    "crossings.guess": True,
+    "check-lane-foes.all": True,
+}
 """Options of netconvert. Unchanged, with signals of fixed timing, 15 to 25 of 100 trips teleport. Railways are removed:
 they reach far beyond the streets, and traffic enters and leaves where the streets end."""
 
@@ -118,14 +129,23 @@ def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
     sumotools.run("netconvert", {"sumo-net-file": source, "output-file": "net.net.xml", **REBUILD}, work)
     read = sumolib.net.readNet(str(work / "net.net.xml"))
     streets = demand.streets_of(read, _boundary_nodes(read), is_one_piece=True)
-    figures: dict[str, Any] = {**trips_per_hour(streets, net.density), **rates_at(net.density.hour), "through": 0}
+    figures: dict[str, Any] = {"through": 0}
+    figures |= trips_per_hour(streets, net.density)
+    figures |= rates_at(net.density.hour)
 
     def filled() -> str:
         return RECIPE.format(
-            name=net.name, description=escaped(net.description), licence=net.licence, attribution=net.attribution,
-            net=net.net, sha256=hashlib.sha256(source.read_bytes()).hexdigest(), seed=net.density.seed,
-            density=net.density.per_km, hour=net.density.hour, **figures,
-        )  # fmt: skip
+            name=net.name,
+            description=escaped(net.description),
+            licence=net.licence,
+            attribution=net.attribution,
+            net=net.net,
+            sha256=hashlib.sha256(source.read_bytes()).hexdigest(),
+            seed=net.density.seed,
+            density=net.density.per_km,
+            hour=net.density.hour,
+            **figures,
+        )
 
     flows = gate_flows(read, streets, tomllib.loads(filled())["demand"])
     figures["through"] = round(sum(one.per_hour for one in flows))
@@ -133,7 +153,8 @@ def _make(net: PackageNet, source: Path, work: Path, out: Path) -> None:
     recipe = tomllib.loads(text)
     build.route(streets, flows, recipe["demand"], work)
     found = read_footprints(sumotools.home() / net.polygons) if net.polygons else []
-    write_footprints(work / "buildings.poly.xml", ((f"b{i}", footprint) for i, footprint in enumerate(found)))
+    named = [(f"b{i}", footprint) for i, footprint in enumerate(found)]
+    write_footprints(work / "buildings.poly.xml", named)
     (work / "buses.rou.xml").write_text("<routes/>\n", encoding="utf-8")
     (work / "stops.add.xml").write_text("<additional/>\n", encoding="utf-8")
     build.pack(recipe, text, work, out)
@@ -143,9 +164,10 @@ def _boundary_nodes(net: Any) -> frozenset[str]:
     """Nodes near the convex hull at which the network ends."""
     nodes = net.getNodes()
     hull = shapely.MultiPoint([node.getCoord() for node in nodes]).convex_hull.boundary
-    return frozenset(
-        node.getID()
-        for node in nodes
-        if len({n.getID() for n in node.getNeighboringNodes()}) == 1
-        and hull.distance(shapely.Point(node.getCoord())) < BOUNDARY_M
-    )
+    found = set()
+    for node in nodes:
+        neighbours = {other.getID() for other in node.getNeighboringNodes()}
+        away_m = hull.distance(shapely.Point(node.getCoord()))
+        if len(neighbours) == 1 and away_m < BOUNDARY_M:
+            found.add(node.getID())
+    return frozenset(found)

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import shapely
-from jaxtyping import Float
-from numpy import ndarray
 from shapely import Polygon
 
 from sumo_nets.footprints import Footprint, footprint_of, pieces_of
 from sumo_nets.ground import Ground
 from sumo_nets.heights import CLEARANCE_M, OPEN_BELOW, Height, height_of
 from sumo_nets.osm import Extract, Tags, Way
+from sumo_nets.sumotools import Ring
 
 SIMPLIFY_M = 0.15
 """Largest displacement of a wall by simplification [m]."""
@@ -23,7 +22,7 @@ PASSAGE_M2 = 25.0
 _NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 Solid = tuple[str, shapely.Geometry, Height]
-Ring = Float[ndarray, "k 2"]
+
 Chains = list[list[int]]
 """Nodes, chain by chain."""
 Rings = dict[str, tuple[Chains, Chains, Tags]]

@@ -11,7 +11,7 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 from cosim.addons.netbuild.streets import PIECE, length_m
-from sumo_nets.demand import Draw
+from sumo_nets.demand import Draw, Point
 from sumo_nets.osm import Extract, Relation, pieces
 
 STOP_M = 22.0
@@ -29,7 +29,6 @@ LEFT_OUT = 1.5
 drive into a dead end and back either."""
 _ROLES = ("backward", "forward")
 
-Point = tuple[float, float]
 Project = Callable[[list[int]], dict[int, Point]]
 """Gives nodes their place in the network."""
 Chain = list[Any]
@@ -222,10 +221,12 @@ def _away(nodes: list[int], onward: list[int] | None = None) -> str:
 
 def _chains(edges: list[Any]) -> list[Chain]:
     """The edges of a way from end to end, in each direction; those of a ring one by one."""
-    after = {
-        edge: onward for edge in edges for onward in edge.getAllowedOutgoing("bus")
-        if onward in edges and onward.getToNode() is not edge.getFromNode()
-    }  # fmt: skip
+    after = {}
+    for edge in edges:
+        for onward in edge.getAllowedOutgoing("bus"):
+            turns_back = onward.getToNode() is edge.getFromNode()
+            if onward in edges and not turns_back:
+                after[edge] = onward
     chains = []
     for edge in edges:
         if edge not in after.values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -65,8 +66,10 @@ def build(
     net = catalogue.open_folder(out)
     picture = draw(find(str(out)), out / PICTURE)
     facts = summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}
-    in_json = {kind: asdict(of) for kind, of in losses.streets.items()} | {"incomplete_ways": losses.n_incomplete}
-    facts["left_out"] = in_json if as_json else losses.text
+    facts["left_out"] = losses.text
+    if as_json:
+        streets = {kind: asdict(of) for kind, of in losses.streets.items()}
+        facts["left_out"] = streets | {"incomplete_ways": losses.n_incomplete}
     if check:
         with notes.status("driving it for half an hour ..."):
             flows = flow.measure(net)
@@ -103,12 +106,16 @@ def counts(
     with notes.status("drawing routes ..."):
         drawn = counts.fit(net, fitted, out, seed)
     with notes.status("driving the old and the new demand ..."):
-        before, after = (counts.driven(one, counted) for one in (net, catalogue.open_folder(out)))
+        made = catalogue.open_folder(out)
+        before, after = counts.driven(net, counted), counts.driven(made, counted)
     groups = {
-        "fitted_drawn": (drawn, fitted), "fitted_before": (before, fitted), "fitted_driven": (after, fitted),
-        "kept_back_before": (before, back), "kept_back_driven": (after, back),
-    }  # fmt: skip
-    facts: dict[str, Any] = {"name": str(out), "vehicles_per_hour": catalogue.open_folder(out).vehicles_per_hour}
+        "fitted_drawn": (drawn, fitted),
+        "fitted_before": (before, fitted),
+        "fitted_driven": (after, fitted),
+        "kept_back_before": (before, back),
+        "kept_back_driven": (after, back),
+    }
+    facts: dict[str, Any] = {"name": str(out), "vehicles_per_hour": made.vehicles_per_hour}
     for name, (model, of) in groups.items():
         found = counts.agreement(model, of)
         facts[name] = asdict(found) if as_json else found.text
@@ -126,11 +133,12 @@ def tile(
     from cosim.addons.netbuild.tiling import tile as tiled
     from cosim.traffic.scenario import find
 
-    words = tiles.lower().split("x")
-    if len(words) != 2 or not all(word.isdecimal() and len(word) < 9 for word in words):
+    numbers = re.fullmatch("([0-9]{1,8})x([0-9]{1,8})", tiles.lower())
+    if numbers is None:
         raise ValueError(f"--tiles {tiles}: give two numbers, for example 2x2.")
+    across, up = map(int, numbers.groups())
     with notes.status("copying streets, buildings and traffic ..."):
-        n_most = tiled(find(city, str(trace)), int(words[0]), int(words[1]), out)
+        n_most = tiled(find(city, str(trace)), across, up, out)
     text = (
         f"wrote {out}: at most {n_most:,} actors at one time. Run it with: cosim run --set traffic.scenario={out} "
         f"--set traffic.trace={out / 'fcd.parquet'}"

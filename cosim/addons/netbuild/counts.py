@@ -213,10 +213,27 @@ def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
 
 
 def _sample(work: Path, end_s: float, seed: int) -> None:
-    words = [sys.executable, str(sumotools.home() / "tools" / "routeSampler.py"), "-r", "candidates.rou.xml",
-             "-d", "counts.xml", "-o", "sampled.rou.xml", "--keep-attributes", "--init-input",
-             "--init-input.remove-overflow", "--prefix", "v", "--begin", "0", "--end", f"{end_s:g}",
-             "--seed", str(seed)]  # fmt: skip
+    words = [
+        sys.executable,
+        str(sumotools.home() / "tools" / "routeSampler.py"),
+        "-r",
+        "candidates.rou.xml",
+        "-d",
+        "counts.xml",
+        "-o",
+        "sampled.rou.xml",
+        "--keep-attributes",
+        "--init-input",
+        "--init-input.remove-overflow",
+        "--prefix",
+        "v",
+        "--begin",
+        "0",
+        "--end",
+        f"{end_s:g}",
+        "--seed",
+        str(seed),
+    ]
     done = subprocess.run(words, cwd=work, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ValueError(f"SUMO's routeSampler failed: {done.stderr.strip()[-500:]}")

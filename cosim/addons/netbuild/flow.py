@@ -81,9 +81,13 @@ def simulate(net: Net, seconds: float, work: Path, types: Collection[str] = ()) 
     options = {  # names in the city's folder, whose path may have commas, at which SUMO cuts
         "configuration-file": net.sumocfg_path.name,
         "additional-files": f"vtypes.add.xml,stops.add.xml,{work / 'edges.add.xml'}",
-        "end": end, "summary-output": work / "summary.xml",
-        "no-step-log": True, "no-warnings": True, "duration-log.statistics": True, "verbose": False,
-    }  # fmt: skip
+        "end": end,
+        "summary-output": work / "summary.xml",
+        "no-step-log": True,
+        "no-warnings": True,
+        "duration-log.statistics": True,
+        "verbose": False,
+    }
     sumotools.run("sumo", options, net.folder)
     return work / "edges.xml"
 
@@ -104,8 +108,10 @@ def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]
             return
         here_s = float(attributes["sampledSeconds"])
         spent_s += here_s
-        if here_s > _BUSY_S and float(attributes.get("speed", 0.0)) < JAMMED * free_mps.get(attributes["id"], 0.0):
-            jammed.append(attributes["id"])
+        name = attributes["id"]
+        speed_mps = float(attributes.get("speed", 0.0))
+        if here_s > _BUSY_S and speed_mps < JAMMED * free_mps.get(name, 0.0):
+            jammed.append(name)
             jammed_s += here_s
 
     stream(work / "summary.xml", step)
@@ -118,7 +124,8 @@ def _flow(work: Path, begin_s: float, seconds: float, free_mps: dict[str, float]
         return int(end.get(name, 0)) - int(start.get(name, 0))
 
     running = [float(row["running"]) for row in rows] or [0.0]
-    driven = sum(float(row["running"]) * max(0.0, float(row["meanSpeed"])) for row in rows)
+    speed_mps = [max(0.0, float(row["meanSpeed"])) for row in rows]
+    driven = sum(n * mps for n, mps in zip(running, speed_mps, strict=False))
     return Flow(
         seconds=seconds,
         vehicles_mean=sum(running) / len(running),

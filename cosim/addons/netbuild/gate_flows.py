@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from math import dist
+from math import dist, inf
 from typing import Any
 
 from sumo_nets.demand import Draw, Street, gate_weight_of
@@ -61,14 +61,15 @@ def gate_flows(net: Any, streets: list[Street], wanted: dict[str, Any]) -> list[
         if entry.kind not in rates:
             continue
         metres = _route_lengths_m(net, entry.id)
-        reached = tuple(
-            (gate, gate.lanes * rates[gate.kind])
-            for gate in exits
-            if metres.get(gate.id, float("inf")) <= LARGEST_DETOUR * max(dist(entry.middle_m, gate.middle_m), 1.0)
-        )
-        per_hour = entry.lanes * rates[entry.kind] - drawn * weight[entry.id] / sum(weight.values())
+        reached = []
+        for gate in exits:
+            away_m = max(dist(entry.middle_m, gate.middle_m), 1.0)
+            if metres.get(gate.id, inf) <= LARGEST_DETOUR * away_m:
+                reached.append((gate, gate.lanes * rates[gate.kind]))
+        of_others = drawn * weight[entry.id] / sum(weight.values())
+        per_hour = entry.lanes * rates[entry.kind] - of_others
         if reached and per_hour > 0:
-            flows.append(GateFlow(entry, per_hour, reached))
+            flows.append(GateFlow(entry, per_hour, tuple(reached)))
     return flows
 
 
@@ -77,13 +78,18 @@ def gate_trips(flows: list[GateFlow], seed: int, end_s: float) -> list[str]:
     trips: list[str] = []
     for flow in flows:
         draw = Draw(seed, f"gate {flow.entry.id}")
+        exits = [street for street, _ in flow.exits]
         weights = {street.id: weight for street, weight in flow.exits}
-        leave = draw.chooser([street for street, _ in flow.exits], lambda street: weights[street.id])  # noqa: B023
+        leave = draw.chooser(exits, lambda street: weights[street.id])  # noqa: B023
         heavy_p = HEAVY_P[flow.entry.kind]
         now = 0.0
         while (now := now + draw.gap_s(flow.per_hour)) < end_s:
             share = draw.uniform()
-            kind = "truck" if share < heavy_p else "van" if share < heavy_p + VAN_P else "car"
+            kind = "car"
+            if share < heavy_p:
+                kind = "truck"
+            elif share < heavy_p + VAN_P:
+                kind = "van"
             trips.append(
                 f'<trip id="through{len(trips)}" type="{kind}" depart="{now:.1f}" departLane="best" departPos="base"'
                 f' departSpeed="max" from="{flow.entry.id}" to="{leave().id}"/>'
@@ -106,5 +112,6 @@ def _route_lengths_m(net: Any, start: str) -> dict[str, float]:
             if following.getID() not in found:
                 n += 1
                 length_m = following.getLength()
-                heappush(queue, (seconds + length_m / max(following.getSpeed(), 0.1), n, metres + length_m, following))
+                arrival_s = seconds + length_m / max(following.getSpeed(), 0.1)
+                heappush(queue, (arrival_s, n, metres + length_m, following))
     return found

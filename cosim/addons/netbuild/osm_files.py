@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cosim.addons.netbuild import osm_pbf, osm_xml
 from cosim.addons.netbuild.streets import PIECE
-from sumo_nets.osm import Extract
+from sumo_nets.osm import Box, Extract
 
 MOST_INCOMPLETE_P = 0.2
 """A file with a larger share of ways without places is refused."""
@@ -17,7 +17,7 @@ def is_pbf(path: Path) -> bool:
     return path.suffix.lower() == ".pbf"
 
 
-def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Extract:
+def read(path: Path, box: Box | None = None) -> Extract:
     """Read a .osm.pbf, .osm, .osm.gz, .osm.xml.gz or .osm.bz2 file.
 
     With `box` (west, south, east, north in degrees), only what has a node in it: ways are kept whole, as an Overpass
@@ -38,7 +38,11 @@ def read(path: Path, box: tuple[float, float, float, float] | None = None) -> Ex
         reach = "" if whole is None else " The file reaches over {:g},{:g},{:g},{:g}.".format(*whole)
         raise ValueError(f"{path} has no ways{where}: there is no street to build.{reach if box else ''}")
     extract = _on_one_side(_numbered(extract), path)
-    placed = {way.id: way for way in extract.ways.values() if not extract.place.keys().isdisjoint(way.nodes)}
+    known = extract.place.keys()
+    placed = {}
+    for number, way in extract.ways.items():
+        if not known.isdisjoint(way.nodes):
+            placed[number] = way
     n = len(extract.ways) - len(placed)
     if n > MOST_INCOMPLETE_P * len(extract.ways):
         raise ValueError(
@@ -60,8 +64,10 @@ def _on_one_side(extract: Extract, path: Path) -> Extract:
             "with --bbox west,south,east,north."
         )
     middle = (west + east) / 2
-    beyond = {node for node, (lon, _) in extract.place.items() if abs(lon - middle) >= 180}
-    place = {node: at for node, at in extract.place.items() if node not in beyond}
+    place = {}
+    for node, (lon, lat) in extract.place.items():
+        if abs(lon - middle) < 180:
+            place[node] = lon, lat
     return replace(extract, place=place)
 
 
@@ -72,7 +78,8 @@ def _numbered(extract: Extract) -> Extract:
     renumbered = [replace(way, id=way.id % PIECE) for way in extract.ways.values()]
     relations = {}
     for number, relation in extract.relations.items():
-        refs = [ref % PIECE if kind == "w" else ref for kind, ref, _ in relation.members]
-        members = tuple((kind, ref, role) for (kind, _, role), ref in zip(relation.members, refs, strict=True))
-        relations[number] = replace(relation, members=members)
+        members = []
+        for kind, ref, role in relation.members:
+            members.append((kind, ref % PIECE if kind == "w" else ref, role))
+        relations[number] = replace(relation, members=tuple(members))
     return replace(extract, ways={way.id: way for way in renumbered}, relations=relations)

@@ -6,9 +6,7 @@ from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Any
 
-from sumo_nets.osm import Extract, Relation, Way, is_within
-
-Box = tuple[float, float, float, float]
+from sumo_nets.osm import Box, Extract, Relation, Way, is_within
 
 
 def read(path: Path, box: Box | None) -> tuple[Box | None, Extract]:
@@ -38,7 +36,7 @@ def read(path: Path, box: Box | None) -> tuple[Box | None, Extract]:
         for node in items(osmium.osm.NODE):
             if box is None or is_within(node.location.lon, node.location.lat, box):
                 extract.place[node.id] = (node.location.lon, node.location.lat)
-                if tags := {tag.k: tag.v for tag in node.tags}:
+                if tags := dict(node.tags):
                     extract.node_tags[node.id] = tags
         missing: set[int] = set()
         for way in items(osmium.osm.WAY):
@@ -46,12 +44,17 @@ def read(path: Path, box: Box | None) -> tuple[Box | None, Extract]:
             outside = [node for node in nodes if node not in extract.place] if box is not None else []
             if box is None or len(outside) < len(nodes):
                 missing.update(outside)
-                extract.ways[way.id] = Way(way.id, nodes, {tag.k: tag.v for tag in way.tags})
-        kept: dict[str, Container[int]] = {"n": set(extract.place), "w": extract.ways}
+                extract.ways[way.id] = Way(way.id, nodes, dict(way.tags))
+        kept: dict[str, Container[int]] = {
+            "n": extract.place,
+            "w": extract.ways,
+            "r": (),
+        }
         for relation in items(osmium.osm.RELATION):
             members = tuple((member.type, member.ref, member.role) for member in relation.members)
-            if box is None or any(ref in kept.get(kind, ()) for kind, ref, _ in members):
-                extract.relations[relation.id] = Relation(relation.id, members, {tag.k: tag.v for tag in relation.tags})
+            is_near = any(ref in kept[kind] for kind, ref, _ in members)
+            if box is None or is_near:
+                extract.relations[relation.id] = Relation(relation.id, members, dict(relation.tags))
         for node in items(osmium.osm.NODE) if missing else ():
             if node.id in missing:
                 extract.place[node.id] = (node.location.lon, node.location.lat)

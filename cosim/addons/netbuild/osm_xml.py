@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from sumo_nets.osm import Extract, Relation, Tags, Way, is_within
+from sumo_nets.osm import Box, Extract, Relation, Tags, Way, is_within
 from sumo_nets.xml import Attributes, chunks, stream
-
-Box = tuple[float, float, float, float]
 
 _KINDS = {"node": "n", "way": "w", "relation": "r"}
 _FIRST_OWN = 10**15
@@ -70,7 +68,8 @@ class _Reader:
         elif name == "tag":
             self._tags[attributes["k"]] = attributes["v"]
         elif name == "nd":
-            (self._nodes if self._depth == 3 else self._member_nodes).append(self._node(attributes))
+            nodes = self._nodes if self._depth == 3 else self._member_nodes
+            nodes.append(self._node(attributes))
         elif name == "member":
             kind = _KINDS.get(attributes["type"], "")
             self._members.append((kind, int(attributes["ref"]), attributes.get("role", "")))
@@ -78,9 +77,10 @@ class _Reader:
 
     def end(self, name: str) -> None:
         self._depth -= 1
-        if self._depth == 2 and name == "member" and self._member_nodes and self._members[-1][0] == "w":
-            way = Way(self._members[-1][1], tuple(self._member_nodes), {})
-            self.extract.ways.setdefault(way.id, way)
+        if self._depth == 2 and name == "member" and self._member_nodes:
+            kind, ref, _ = self._members[-1]
+            if kind == "w":
+                self.extract.ways.setdefault(ref, Way(ref, tuple(self._member_nodes), {}))
         elif self._depth == 1 and name == "remark":
             said = " ".join("".join(self.text).split())
             raise ValueError(f"Overpass gave up before its end ({said}). Fetch it again, or a smaller region")
@@ -89,14 +89,18 @@ class _Reader:
 
     def _keep(self, kind: str) -> None:
         """Put an element into the extract, or merge it with a copy of itself."""
-        number, version = int(self._head["id"]), int(self._head.get("version", 0))
+        number = int(self._head["id"])
+        version = int(self._head.get("version", 0))
         extract = self.extract
         if version < self._version[kind, number]:
             return
         self._version[kind, number] = version
         if self._head.get("action") == "delete" or self._head.get("visible") == "false":
-            for of_kind in (extract.place, extract.node_tags) if kind == "node" else (_of(extract, kind),):
-                of_kind.pop(number, None)
+            if kind == "node":
+                extract.place.pop(number, None)
+                extract.node_tags.pop(number, None)
+            else:
+                _of(extract, kind).pop(number, None)
             self._version[kind, number] = version + 1  # a copy of it does not bring it back
         elif kind == "node":
             if "lat" in self._head:
@@ -104,13 +108,13 @@ class _Reader:
             if self._tags:
                 extract.node_tags[number] = self._tags
         elif kind == "way":
-            old = extract.ways.get(number)
-            nodes = tuple(self._nodes) or (old.nodes if old else ())
-            extract.ways[number] = Way(number, nodes, self._tags or (old.tags if old else {}))
+            way = extract.ways.get(number, Way(number, (), {}))
+            nodes = tuple(self._nodes) or way.nodes
+            extract.ways[number] = Way(number, nodes, self._tags or way.tags)
         else:
-            before = extract.relations.get(number)
-            members = tuple(self._members) or (before.members if before else ())
-            extract.relations[number] = Relation(number, members, self._tags or (before.tags if before else {}))
+            relation = extract.relations.get(number, Relation(number, (), {}))
+            members = tuple(self._members) or relation.members
+            extract.relations[number] = Relation(number, members, self._tags or relation.tags)
 
     def _node(self, attributes: Attributes) -> int:
         """Number of a node of a way, whose place may be given with it."""
@@ -126,7 +130,9 @@ class _Reader:
         """Widen the box: JOSM writes one for every region that was downloaded."""
         west, south, east, north = (float(attributes[key]) for key in ("minlon", "minlat", "maxlon", "maxlat"))
         w, s, e, n = self.box or (west, south, east, north)
-        self.box = min(w, west), min(s, south), max(e, east), max(n, north)
+        low = min(w, west), min(s, south)
+        high = max(e, east), max(n, north)
+        self.box = *low, *high
 
 
 def _of(extract: Extract, kind: str) -> dict:
@@ -144,13 +150,18 @@ def _place(attributes: Attributes) -> tuple[float, float]:
 def _cropped(extract: Extract, box: Box) -> Extract:
     """What has a node in the box: ways whole, and relations with a member that is kept."""
     inside = {node for node, place in extract.place.items() if is_within(*place, box)}
-    ways = {way.id: way for way in extract.ways.values() if not inside.isdisjoint(way.nodes)}
-    used = inside.union(*(way.nodes for way in ways.values()))
+    ways = {}
+    used = set(inside)
+    for number, way in extract.ways.items():
+        if not inside.isdisjoint(way.nodes):
+            ways[number] = way
+            used |= set(way.nodes)
     kept = {"n": inside, "w": ways.keys()}
-    relations = {
-        relation.id: relation for relation in extract.relations.values()
-        if any(ref in kept.get(kind, ()) for kind, ref, _ in relation.members)
-    }  # fmt: skip
+    relations = {}
+    for number, relation in extract.relations.items():
+        members = [ref in kept.get(kind, ()) for kind, ref, _ in relation.members]
+        if any(members):
+            relations[number] = relation
     place = {node: where for node, where in extract.place.items() if node in used}
     tags = {node: tags for node, tags in extract.node_tags.items() if node in inside}
     return Extract(place, tags, ways, relations)

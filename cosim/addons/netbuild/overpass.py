@@ -10,9 +10,7 @@ from math import cos, radians
 from pathlib import Path
 
 from sumo_nets import sumotools
-
-Box = tuple[float, float, float, float]
-"""West, south, east, north [degrees]."""
+from sumo_nets.osm import Box
 
 MOST_KM2 = 1000.0
 """Largest box that is fetched."""
@@ -32,7 +30,8 @@ def degrees(text: str) -> Box:
         raise ValueError(f"--bbox {text}: four numbers are wanted: west,south,east,north in degrees.") from None
     if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
         raise ValueError(f"--bbox {text}: west < east and south < north in degrees are wanted: west,south,east,north.")
-    km2 = (east - west) * cos(radians((south + north) / 2)) * (north - south) * _KM_PER_DEGREE**2
+    width = (east - west) * cos(radians((south + north) / 2))
+    km2 = width * (north - south) * _KM_PER_DEGREE**2
     if km2 > MOST_KM2:
         raise ValueError(
             f"--bbox {text}: {km2:,.0f} km², and at most {MOST_KM2:,.0f} km² are fetched at once. Is the order "
@@ -53,7 +52,8 @@ def fetch(box: Box, server: str | None = None) -> bytes:
     """
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as folder:
         tool = sumotools.home() / "tools" / "osmGet.py"
-        words = [sys.executable, str(tool), f"--bbox={','.join(map(repr, box))}", "-p", "map", "-d", folder]
+        corners = ",".join(map(repr, box))
+        words = [sys.executable, str(tool), f"--bbox={corners}", "-p", "map", "-d", folder]
         words += ["--retry-delay", str(RETRY_S), *(["--url", server] if server else [])]
         try:
             done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=TIME_LIMIT_S)

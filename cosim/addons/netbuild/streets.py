@@ -12,7 +12,7 @@ from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sumo_nets.osm import Extract, Way, pieces
+from sumo_nets.osm import Box, Extract, Way, pieces
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def _gates(
     runs: _Runs,
     sections: Sequence[_Section],
     edge_m: float,
-    box: tuple[float, float, float, float] | None,
+    box: Box | None,
 ) -> frozenset[int]:
     """Ends of a single section where its way goes on outside the extract, or which lie near the edge of the box."""
     n_ends: Counter[int] = Counter()

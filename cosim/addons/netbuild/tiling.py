@@ -24,6 +24,7 @@ from cosim.traffic.scenario import Scenario
 from sumo_nets import sumotools
 from sumo_nets.footprints import Footprint, read_footprints, write_footprints
 
+Columns = dict[str, ndarray | pa.Array]
 LARGEST_M = 65_536.0
 """Positions are multiples of 1/256 m in single precision, which holds them exactly up to here."""
 
@@ -52,12 +53,13 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
     ValueError
         In one line, if the city cannot be copied. Nothing is written.
     """
-    if scenario.net is None or scenario.bounds_m is None or scenario.trace is None or scenario.trace.is_dir():
+    net, bounds_m, trace = scenario.net, scenario.bounds_m, scenario.trace
+    if net is None or bounds_m is None or trace is None or trace.is_dir():
         raise ValueError(f"{scenario.name}: give a city with a network, and a trace of SUMO's (--trace fcd.parquet).")
     if min(n_east, n_north) < 1 or n_east * n_north < 2:
         raise ValueError(f"--tiles {n_east}x{n_north}: give 2 copies or more, for example 2x2.")
     check_out(out)
-    west, south, east, north = scenario.bounds_m
+    west, south, east, north = bounds_m
     size_m = np.ceil([east - west, north - south])
     if (size_m * (n_east, n_north)).max() > LARGEST_M:
         wide, high = size_m * (n_east, n_north) / 1000
@@ -68,7 +70,7 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
         work = Path(place) / "city"
         work.mkdir()
         n_most = _trace(scenario, shifts_m, work)
-        buildings = [f for path in scenario.buildings for f in read_footprints(path, scenario.net)]
+        buildings = [f for path in scenario.buildings for f in read_footprints(path, net)]
 
         def moved() -> Iterator[tuple[str, Footprint]]:
             for copy, by_m in enumerate(shifts_m):
@@ -78,11 +80,12 @@ def tile(scenario: Scenario, n_east: int, n_north: int, out: Path) -> int:
 
         write_footprints(work / "buildings.poly.xml", moved())
         east, north = [west, south] + size_m * (n_east, n_north)
-        _network(scenario.net, shifts_m, (west, south, east, north), work)
+        _network(net, shifts_m, (west, south, east, north), work)
         (work / f"{out.name}.sumocfg").write_text(
             '<configuration>\n    <net-file value="net.net.xml.gz"/>\n'
-            '    <additional-files value="vtypes.add.xml,buildings.poly.xml"/>\n</configuration>\n', encoding="utf-8",
-        )  # fmt: skip
+            '    <additional-files value="vtypes.add.xml,buildings.poly.xml"/>\n</configuration>\n',
+            encoding="utf-8",
+        )
         if scenario.attribution:
             about = f"{scenario.attribution}\nLicence: {scenario.licence}\n"
             (work / "ATTRIBUTION.txt").write_text(about, encoding="utf-8")
@@ -132,13 +135,14 @@ def _typed(timestep: Timestep) -> Timestep:
     return replace(timestep, types=types)
 
 
-def _columns(timestep: Timestep, shifts_m: Float[ndarray, "k 2"]) -> dict[str, ndarray | pa.Array]:
+def _columns(timestep: Timestep, shifts_m: Float[ndarray, "k 2"]) -> Columns:
     """The rows of all copies of a timestep, with the columns that SUMO writes."""
     n, k = len(timestep.names), len(shifts_m)
     copies = pa.array(np.repeat(np.arange(k), n)).cast(pa.string())
-    xy_m = (shifts_m[:, None] + timestep.front_m[:, :2]).reshape(-1, 2)
+    front_m = timestep.front_m[:, :2]
+    xy_m = (shifts_m[:, None] + front_m).reshape(-1, 2)
     names = pa.array(timestep.names * k, pa.string())
-    stated: dict[str, ndarray | pa.Array] = {}
+    stated: Columns = {}
     if timestep.vclasses is not None:
         stated["vehicle_vClass"] = pa.array(timestep.vclasses * k, pa.string())
     if timestep.lwh_m is not None:

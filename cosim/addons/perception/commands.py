@@ -67,24 +67,30 @@ def evaluate(
         return
     shown = Table(*table.columns, box=SIMPLE)
     for row in rows:
-        shown.add_row(*(_cell(str(name), value) for name, value in row.items()))
+        cells = [_cell(str(name), value) for name, value in row.items()]
+        shown.add_row(*cells)
     screen.print(shown)
 
 
 def _read_lines(about: dict[str, Any]) -> Iterator[str]:
     """What was read of a data set, a line each."""
-    counts = ", ".join(f"{about[name]:,} {name}" for name in ("frames", "agents", "objects", "boxes"))
-    yield f"{about['layout']}: {counts}"
+    counts = [f"{about[name]:,} {name}" for name in ("frames", "agents", "objects", "boxes")]
+    yield f"{about['layout']}: {', '.join(counts)}"
     egos = about.get("egos", {})
     if len(egos) == 1:
         yield f"ego: {next(iter(egos))}"
     elif egos:
-        some = ", ".join(f"{name} in {n:,} frames" for name, n in list(egos.items())[:_MOST_EGOS])
-        yield f"egos: {some}{', ...' if len(egos) > _MOST_EGOS else ''}"
-    classes = about["classes"].items()
-    if any(said.lower() != ours for ours, of in classes for said in of):
-        said = {ours: " and ".join(f"{n:,} {name}" for name, n in of.items()) for ours, of in classes}
-        yield "classes: " + "; ".join(f"{names} as {ours}" for ours, names in said.items())
+        some = [f"{name} in {n:,} frames" for name, n in egos.items()]
+        if len(some) > _MOST_EGOS:
+            some[_MOST_EGOS:] = ["..."]
+        yield f"egos: {', '.join(some)}"
+    classes, differ = [], False
+    for ours, of in about["classes"].items():
+        names = [f"{n:,} {name}" for name, n in of.items()]
+        classes.append(f"{' and '.join(names)} as {ours}")
+        differ |= any(name.lower() != ours for name in of)
+    if differ:
+        yield "classes: " + "; ".join(classes)
     if about.get("boxes_left_out"):
         yield (
             f"{about['boxes_left_out']:,} boxes are on the agents themselves or on objects of other classes: they are "
@@ -103,4 +109,6 @@ _MOST_EGOS = 10
 
 def _cell(name: str, value: object) -> str:
     """Percentages with one digit."""
-    return "-" if value is None else f"{value:.1f}" if name.startswith(("ap", "recall")) else str(value)
+    if value is None:
+        return "-"
+    return f"{value:.1f}" if name.startswith(("ap", "recall")) else str(value)

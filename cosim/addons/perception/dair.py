@@ -74,9 +74,14 @@ def read(folder: Path, detections: Path | None = None, ego: str | None = None) -
     truth, found, missing = [], [], []
     classes: Counter[tuple[str, str]] = Counter()
     for frame, pair in enumerate(index):
-        car, unit, label = (_path(pair, key, root) for key in (
-            "vehicle_pointcloud_path", "infrastructure_pointcloud_path", "cooperative_label_path",
-        ))  # fmt: skip
+        car, unit, label = (
+            _path(pair, key, root)
+            for key in (
+                "vehicle_pointcloud_path",
+                "infrastructure_pointcloud_path",
+                "cooperative_label_path",
+            )
+        )
         side = root / "vehicle-side/calib"
         world_from = [
             _transform(side / f"novatel_to_world/{car.stem}.json")
@@ -126,15 +131,18 @@ def _shift(pair: dict[str, Any], root: Path) -> Float[ndarray, "2"]:
     offset = pair.get("system_error_offset") or {}
     if not isinstance(offset, dict):
         raise ValueError(f"{root / INDEX}: system_error_offset should hold delta_x and delta_y.")
-    return np.array([number(offset.get(name, 0.0), name, root / INDEX) for name in ("delta_x", "delta_y")])
+    east_m = number(offset.get("delta_x", 0.0), "delta_x", root / INDEX)
+    north_m = number(offset.get("delta_y", 0.0), "delta_y", root / INDEX)
+    return np.array([east_m, north_m])
 
 
 def _path(pair: Any, key: str, root: Path) -> Path:
     """A relative path inside the data set."""
     value = pair.get(key) if isinstance(pair, dict) else None
-    if not isinstance(value, str) or Path(value).is_absolute() or ".." in Path(value).parts or "\0" in value:
+    path = Path(value) if isinstance(value, str) else Path("/")
+    if path.is_absolute() or ".." in path.parts or "\0" in str(path):
         raise ValueError(f"{root / INDEX}: {key} should be a relative path inside the data set.")
-    return Path(value)
+    return path
 
 
 def _transform(path: Path) -> Float[ndarray, "4 4"]:
@@ -144,10 +152,15 @@ def _transform(path: Path) -> Float[ndarray, "4 4"]:
     out = np.eye(4)
     out[:3, :3] = matrix(about.get("rotation"), 3, 3, "rotation", path)
     shift = about.get("translation")
-    if isinstance(shift, list):  # of numbers, or of lists of one number
-        shift = [one[0] if isinstance(one, list) and len(one) == 1 else one for one in shift]
+    if isinstance(shift, list):
+        shift = list(map(_single, shift))
     out[:3, 3] = numbers(shift, 3, "translation", path)
     return rigid(out, "rotation", path)
+
+
+def _single(value: Any) -> Any:
+    """The number in a list of one number; anything else as it is."""
+    return value[0] if isinstance(value, list) and len(value) == 1 else value
 
 
 def _labels(path: Path) -> list[tuple[str, Float[ndarray, "7"]]]:
@@ -164,7 +177,10 @@ def _labels(path: Path) -> list[tuple[str, Float[ndarray, "7"]]]:
     return found
 
 
-def _boxes(path: Path, world_from_agent: Float[ndarray, "4 4"]) -> list[tuple[str, Float[ndarray, "7"], float]]:
+def _boxes(
+    path: Path,
+    world_from_agent: Float[ndarray, "4 4"],
+) -> list[tuple[str, Float[ndarray, "7"], float]]:
     about = read_json(path)
     listed = about.get("boxes_3d") if isinstance(about, dict) else None
     if not isinstance(listed, list) or len(listed) > MOST_BOXES:

@@ -70,10 +70,17 @@ def precision(
                 continue
             answer = average_precision(truth, found, label, overlap, limit)
             rows += [
-                {"boxes": which, "class": label, "level": level, "ap11": one.ap11, "ap40": one.ap40,
-                 "n_truth": one.n_truth, "n_frames": len(poses)}
+                {
+                    "boxes": which,
+                    "class": label,
+                    "level": level,
+                    "ap11": one.ap11,
+                    "ap40": one.ap40,
+                    "n_truth": one.n_truth,
+                    "n_frames": len(poses),
+                }
                 for level, one in answer.items()
-            ]  # fmt: skip
+            ]
     if not rows:
         raise run.lacks("detections to rank", "no honest vehicle ever had an actor ahead of it.")
     return pd.DataFrame(rows)
@@ -97,8 +104,15 @@ def awareness_total(run: Run, max_frames: int = 4000) -> pd.DataFrame:
     return (known.n_known / known.n_present).rename("share").reset_index()
 
 
+_BIN_M = 10.0
+"""Width of the bins of distance."""
+
+
 def awareness(
-    run: Run, range_m: float = 70.0, bin_m: float = 10.0, min_score: float = 0.5, max_frames: int = 4000
+    run: Run,
+    range_m: float = 70.0,
+    min_score: float = 0.5,
+    max_frames: int = 4000,
 ) -> pd.DataFrame:
     """Environmental awareness: share of the actors around an honest vehicle that are in its list, by distance.
 
@@ -111,13 +125,16 @@ def awareness(
     steps = sampled_steps(run, max_frames, honest)
     poses, actors = posed(run, steps, honest)
     i, j = near(poses, actors, range_m)
-    away_m = poses[["x_m", "y_m"]].to_numpy()[i] - actors[["x_m", "y_m"]].to_numpy()[j]
-    around = pd.DataFrame({
-        "step": poses.step.to_numpy()[i],
-        "observer": poses.observer.to_numpy()[i],
-        "actor": actors.actor.to_numpy()[j],
-        "bin": np.hypot(*away_m.T) // bin_m,
-    })  # fmt: skip
+    own_m = poses[["x_m", "y_m"]].to_numpy()[i]
+    away_m = own_m - actors[["x_m", "y_m"]].to_numpy()[j]
+    around = pd.DataFrame(
+        {
+            "step": poses.step.to_numpy()[i],
+            "observer": poses.observer.to_numpy()[i],
+            "actor": actors.actor.to_numpy()[j],
+            "bin": np.hypot(*away_m.T) // _BIN_M,
+        }
+    )
     around = around[around.observer != around.actor]
     if around.empty:
         raise run.lacks("objects to know", f"no honest vehicle ever had an actor within {range_m:g} m.")
@@ -133,8 +150,15 @@ def awareness(
         key = pd.MultiIndex.from_frame(around[["step", "observer", "actor"]])
         seen = key.isin(pd.MultiIndex.from_frame(known))
         counts = pd.DataFrame({"bin": around.bin, "known": seen}).groupby("bin").known.agg(["size", "sum"])
-        rows.append(pd.DataFrame({
-            "boxes": which, "distance_m": (counts.index + 0.5) * bin_m, "n_present": counts["size"],
-            "n_known": counts["sum"], "share": counts["sum"] / counts["size"],
-        }))  # fmt: skip
+        rows.append(
+            pd.DataFrame(
+                {
+                    "boxes": which,
+                    "distance_m": (counts.index + 0.5) * _BIN_M,
+                    "n_present": counts["size"],
+                    "n_known": counts["sum"],
+                    "share": counts["sum"] / counts["size"],
+                }
+            )
+        )
     return pd.concat(rows, ignore_index=True)

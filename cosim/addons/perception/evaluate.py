@@ -38,6 +38,10 @@ _AGENT_M = (4.5, 2.0, 1.6)
 _KITTI_COLUMNS = ("class", "level", "overlap", "ap11", "ap40", "n_truth", "n_boxes")
 
 
+Evaluated = tuple[dict[str, Any], pd.DataFrame]
+"""What was read and left out, and the table of average precisions."""
+
+
 def layout_of(folder: Path) -> Layout:
     """Which layout a folder has.
 
@@ -69,7 +73,7 @@ def evaluate(
     overlaps: Sequence[float] = (0.5, 0.7),
     ego: str | None = None,
     objects: ObjectFrame | None = None,
-) -> tuple[dict[str, Any], pd.DataFrame]:
+) -> Evaluated:
     """Evaluate the detections of a data set.
 
     Parameters
@@ -119,9 +123,7 @@ def evaluate(
     return _evaluated(data, range_m, partners_m, overlaps)
 
 
-def _evaluated(
-    data: Recorded, range_m: float, partners_m: float, overlaps: Sequence[float]
-) -> tuple[dict[str, Any], pd.DataFrame]:
+def _evaluated(data: Recorded, range_m: float, partners_m: float, overlaps: Sequence[float]) -> Evaluated:
     _check_density(data.frames, data.truth, data.found)
     truth, agents = _without_agents(data)
     about: dict[str, Any] = {
@@ -165,7 +167,9 @@ def _evaluated(
     return about, table
 
 
-def _by_class(counts: Mapping[tuple[str, str], int]) -> dict[str, dict[str, int]]:
+def _by_class(
+    counts: Mapping[tuple[str, str], int],
+) -> dict[str, dict[str, int]]:
     """By our class, the numbers of annotations by the class that the files say."""
     found: dict[str, dict[str, int]] = {}
     for (said, ours), n in sorted(counts.items()):
@@ -173,12 +177,17 @@ def _by_class(counts: Mapping[tuple[str, str], int]) -> dict[str, dict[str, int]
     return found
 
 
-def _kitti(data: kitti_folder.KittiFolder) -> tuple[dict[str, Any], pd.DataFrame]:
+def _kitti(data: kitti_folder.KittiFolder) -> Evaluated:
     truth, found, rows = data.truth, data.found, []
     about: dict[str, Any] = {
-        "layout": "kitti", "frames": data.n_frames, "agents": data.n_frames, "objects": len(truth),
-        "boxes": len(found), "classes": _by_class(data.classes), "remarks": list(data.remarks),
-    }  # fmt: skip
+        "layout": "kitti",
+        "frames": data.n_frames,
+        "agents": data.n_frames,
+        "objects": len(truth),
+        "boxes": len(found),
+        "classes": _by_class(data.classes),
+        "remarks": list(data.remarks),
+    }
     labels = [label for label in CLASSES if (truth.label == label).any()]
     if not labels:
         about["missing"] = f"No object is of the classes {', '.join(CLASSES)}."
@@ -343,7 +352,8 @@ def _near_ego(data: Recorded, partners_m: float) -> list[Int[ndarray, "k"]]:
 
 
 def _within(data: Recorded, boxes: RecordedBoxes, range_m: float) -> Bool[ndarray, "n"]:
-    ego = np.array([pose[0, :2] for pose in data.pose]).reshape(-1, 2)
+    of_egos = [pose[0, :2] for pose in data.pose]
+    ego = np.array(of_egos).reshape(-1, 2)
     away_m = boxes.box[:, :2] - ego[boxes.frame]
     return np.hypot(*away_m.T) <= range_m
 

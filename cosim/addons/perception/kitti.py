@@ -90,8 +90,11 @@ def average_precision(
     limit = STRICT[label] if min_overlap is None else min_overlap
     i, j, share = _candidates(truth, found, overlap)
     hit = share > limit
-    i, j, share = i[hit], j[hit], share[hit]
-    return {level: _level(truth, found, label, rank, i, j, share) for rank, level in enumerate(LEVELS)}
+    hits = i[hit], j[hit], share[hit]
+    levels = {}
+    for rank, level in enumerate(LEVELS):
+        levels[level] = _level(truth, found, label, rank, *hits)
+    return levels
 
 
 def _level(
@@ -191,9 +194,11 @@ def _thresholds(scores: Float[ndarray, "n"], n_truth: int) -> Float[ndarray, "t"
 
 def _candidates(truth: LabelledObjects, found: LabelledObjects, overlap: Overlap) -> tuple[ndarray, ndarray, ndarray]:
     """Pairs of the same frame that may overlap, and their intersection over union."""
-    assert (np.diff(truth.frame) >= 0).all() and (np.diff(found.frame) >= 0).all(), "frames are not sorted"
+    for of in truth, found:
+        assert (np.diff(of.frame) >= 0).all(), "frames are not sorted"
     real = np.flatnonzero(truth.box[:, 3] > 0)  # DontCare areas have no box
-    i, j = near_pairs(truth.frame[real], truth.box[real], found.frame, found.box)
+    frame, box = truth.frame[real], truth.box[real]
+    i, j = near_pairs(frame, box, found.frame, found.box)
     i = real[i]
     share_of = iou_3d if overlap == "3d" else iou_bev
     return i, j, in_blocks(share_of, truth.box[i], found.box[j])

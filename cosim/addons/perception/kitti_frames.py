@@ -5,11 +5,13 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
+from numpy import ndarray
 
 from cosim.addons.perception.kitti import LabelledObjects
 from cosim.addons.perception.overlap import corners, within
 from cosim.base.codes import BASE_VARIANT
 from cosim.base.plane import turned_by, wrapped
+from results.moments import at_steps
 from results.run import Run
 from results.sensing import interval_steps, sampling_stride, senses, sensing_steps
 
@@ -21,9 +23,14 @@ _INDEX_OF: dict[Lists, str] = {"local": "detection_index", "fused": "fused_index
 
 BOX = ("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad")
 _OBJECT_CLASS = {
-    "car": "car", "van": "car", "truck": "truck", "bus": "truck",
-    "motorcycle": "cyclist", "bicycle": "cyclist", "pedestrian": "pedestrian",
-}  # fmt: skip
+    "car": "car",
+    "van": "car",
+    "truck": "truck",
+    "bus": "truck",
+    "motorcycle": "cyclist",
+    "bicycle": "cyclist",
+    "pedestrian": "pedestrian",
+}
 
 FOCAL_PX = 960.0
 """Of the camera that KITTI's heights in pixels are meant for: 90 degrees on 1,920 pixels."""
@@ -32,7 +39,7 @@ Poses = pd.DataFrame
 """Observers, the vehicles that sense in some steps: step, observer, its pose and size, frame (0, 1, ...)."""
 
 
-def sampled_steps(run: Run, max_frames: int, observers: np.ndarray | None = None) -> np.ndarray:
+def sampled_steps(run: Run, max_frames: int, observers: ndarray | None = None) -> ndarray:
     """Steps at equal distances over the run, with about `max_frames` frames (sweeps of equipped vehicles) in all.
 
     Parameters
@@ -66,12 +73,7 @@ def with_boxes(run: Run, lists: tuple[Lists, ...]) -> tuple[Lists, ...]:
     return tuple(which for which in lists if {"fused": fuses, "early": merges}.get(which, True))
 
 
-def at_steps(steps: np.ndarray) -> pc.Expression:
-    """Filter for the rows of these steps."""
-    return pc.field("step").isin(steps.tolist())
-
-
-def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
+def posed(run: Run, steps: ndarray, observers: ndarray | None = None) -> tuple[Poses, pd.DataFrame]:
     """Observers and actors in some steps. An observer is a vehicle that senses in the step.
 
     Parameters
@@ -95,7 +97,8 @@ def posed(run: Run, steps: np.ndarray, observers: np.ndarray | None = None) -> t
     actors = actors.sort_values(["step", "actor"], ignore_index=True)
     chosen = actors.equipped if observers is None else actors.equipped & actors.actor.isin(observers)
     chosen &= run.config.get("sensing", True)
-    chosen &= senses(run, actors.step.to_numpy(np.int64), actors.actor.to_numpy(np.int64))
+    step, actor = actors[["step", "actor"]].to_numpy(np.int64).T
+    chosen &= senses(run, step, actor)
     poses = actors[chosen].rename(columns={"actor": "observer"}).reset_index(drop=True)
     return poses.assign(frame=np.arange(len(poses))), actors
 
@@ -109,7 +112,7 @@ def observed_by_vehicle(run: Run, which: Lists, columns: list[str], where: pc.Ex
     return frame
 
 
-def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray, np.ndarray]:
+def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[ndarray, ndarray]:
     """Pairs of an observer and an actor of the same step within a horizontal range. An observer is also near itself.
 
     Parameters
@@ -129,8 +132,21 @@ def near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[np.ndarray
     return i[order], j[order]
 
 
+def pair_keys(poses: Poses, actors: pd.DataFrame, i: ndarray, j: ndarray) -> pd.MultiIndex:
+    """Step, observer and actor of pairs of rows of `poses` and of `actors`."""
+    keys = poses[["step", "observer"]].iloc[i]
+    return pd.MultiIndex.from_frame(keys.assign(actor=actors.actor.to_numpy()[j]))
+
+
+def others_near(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[ndarray, ndarray]:
+    """As `near`, of observers and other actors."""
+    i, j = near(poses, actors, range_m)
+    is_other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
+    return i[is_other], j[is_other]
+
+
 def actors_ahead(
-    run: Run, steps: np.ndarray, range_m: float, observers: np.ndarray | None = None
+    run: Run, steps: ndarray, range_m: float, observers: ndarray | None = None
 ) -> tuple[LabelledObjects, Poses]:
     """Ground truth: the actors ahead of each observer.
 
@@ -147,12 +163,9 @@ def actors_ahead(
     poses, actors = posed(run, steps, observers)
     i, j, box, height_px = pairs_ahead(poses, actors, range_m)
     seen = run.table("observability", where=at_steps(steps)).set_index(["step", "observer", "actor"])
-    key = pd.MultiIndex.from_arrays(
-        [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
-    )
-    seen = seen.reindex(key)
-    n_points = seen.n_points.to_numpy(np.float64)
-    n_unoccluded = seen.n_unoccluded.to_numpy(np.float64)
+    seen = seen.reindex(pair_keys(poses, actors, i, j))
+    n_points = seen.n_points.to_numpy(float)
+    n_unoccluded = seen.n_unoccluded.to_numpy(float)
     hidden = 1 - n_points / np.maximum(n_unoccluded, 1)
     level = (hidden > 0.2).astype(int) + (hidden > 0.5)
     objects = LabelledObjects(
@@ -167,9 +180,7 @@ def actors_ahead(
     return objects, poses
 
 
-def pairs_ahead(
-    poses: Poses, actors: pd.DataFrame, range_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def pairs_ahead(poses: Poses, actors: pd.DataFrame, range_m: float) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Pairs of an observer and another actor ahead of it within range.
 
     Parameters
@@ -181,15 +192,13 @@ def pairs_ahead(
     -------
     Row of the observer, row of the actor, and the actor's box and height as of `ahead_of`; sorted by the two rows.
     """
-    i, j = near(poses, actors, range_m)
-    other = poses.observer.to_numpy()[i] != actors.actor.to_numpy()[j]
-    i, j = i[other], j[other]
-    world = actors[[*BOX]].to_numpy(np.float64)[j]
+    i, j = others_near(poses, actors, range_m)
+    world = actors[[*BOX]].to_numpy(float)[j]
     box, ahead, height_px = ahead_of(poses, i, world, range_m)
     return i[ahead], j[ahead], box[ahead], height_px[ahead]
 
 
-def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m: float) -> LabelledObjects:
+def boxes_ahead(run: Run, which: Lists, steps: ndarray, poses: Poses, range_m: float) -> LabelledObjects:
     """Boxes in the list of each observer that lie ahead of it.
 
     Parameters
@@ -213,12 +222,12 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
         where = at_steps(steps) & (pc.field("origin") == "sensed")
     boxes = observed_by_vehicle(run, which, columns, where)
     frames = poses.set_index(["step", "observer"]).frame
-    at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(np.float64)
+    at = frames.reindex(pd.MultiIndex.from_frame(boxes[["step", "observer"]])).to_numpy(float)
     is_there = ~np.isnan(at)
     boxes, at = boxes[is_there], at[is_there].astype(int)
     order = np.lexsort([boxes[index], at])
     boxes, at = boxes.iloc[order], at[order]
-    world = boxes[[*BOX]].to_numpy(np.float64, copy=True)
+    world = boxes[[*BOX]].to_numpy(float, copy=True)
     world = in_true_frame(world, poses, at, position_errors(run, poses))
     box, ahead, height_px = ahead_of(poses, at, world, range_m)
     n = int(ahead.sum())
@@ -229,11 +238,11 @@ def boxes_ahead(run: Run, which: Lists, steps: np.ndarray, poses: Poses, range_m
         height_px=height_px[ahead],
         occlusion=np.zeros(n, int),
         truncation=np.zeros(n),
-        score=boxes.score.to_numpy(np.float64)[ahead],
+        score=boxes.score.to_numpy(float)[ahead],
     )
 
 
-def position_errors(run: Run, poses: Poses) -> np.ndarray:
+def position_errors(run: Run, poses: Poses) -> ndarray:
     """Errors of each observer's estimate of its own pose: estimated minus true. Its boxes are displaced by them.
 
     Returns
@@ -244,10 +253,10 @@ def position_errors(run: Run, poses: Poses) -> np.ndarray:
         return np.zeros((len(poses), 3))
     found = run.table("position_errors", where=at_steps(poses.step.unique())).set_index(["step", "vehicle"])
     found = found.reindex(pd.MultiIndex.from_frame(poses[["step", "observer"]]))
-    return found[["error_x_m", "error_y_m", "error_yaw_rad"]].fillna(0.0).to_numpy(np.float64)
+    return found[["error_x_m", "error_y_m", "error_yaw_rad"]].fillna(0.0).to_numpy(float)
 
 
-def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def in_true_frame(boxes: ndarray, poses: Poses, i: ndarray, errors: ndarray) -> ndarray:
     """Boxes of the observers' estimated frames, placed where they are relative to the observers' true poses.
 
     Parameters
@@ -265,7 +274,7 @@ def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.nda
     -------
     The boxes [n, 7].
     """
-    true_m = poses[["x_m", "y_m"]].to_numpy(np.float64)[i]
+    true_m = poses[["x_m", "y_m"]].to_numpy(float)[i]
     moved_m = boxes[:, :2] - errors[i, :2]
     yaw, turn = boxes[:, 6], errors[i, 2]
     turned_m = true_m + turned_by(-turn, moved_m - true_m)
@@ -276,7 +285,12 @@ def in_true_frame(boxes: np.ndarray, poses: Poses, i: np.ndarray, errors: np.nda
     return placed
 
 
-def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ahead_of(
+    poses: Poses,
+    i: ndarray,
+    box: ndarray,
+    range_m: float,
+) -> tuple[ndarray, ndarray, ndarray]:
     """World boxes as their observers have them.
 
     Parameters
@@ -295,7 +309,7 @@ def ahead_of(poses: Poses, i: np.ndarray, box: np.ndarray, range_m: float) -> tu
     The boxes, x forward and y left of the middle of the observer's roof; whether each lies ahead (within 45 degrees of
     straight ahead) and within range; and their heights in the image [px].
     """
-    eye = poses[["x_m", "y_m", "z_m", "yaw_rad", "height_m"]].to_numpy(np.float64)[i]
+    eye = poses[["x_m", "y_m", "z_m", "yaw_rad", "height_m"]].to_numpy(float)[i]
     eye[:, 2] += eye[:, 4] / 2  # on the roof
     away = box[:, :3] - eye[:, :3]
     box = box.copy()

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.addons.perception.matched import by_score
 from cosim.addons.perception.overlap import in_blocks, iou_bev, near_pairs
 
 NMS_OVERLAP = 0.15
@@ -38,11 +39,10 @@ def kept(
     result is that of the usual loop over boxes by descending score.   Deviations: none.
     """
     i, j = _overlapping(frame, box, overlap)
-    rank = np.empty(len(score), np.int64)
-    row = np.arange(len(score))
-    rank[np.lexsort([row, -score])] = row
+    rank = by_score(score)
     first = rank[i] < rank[j]
-    better, worse = np.where(first, i, j), np.where(first, j, i)
+    better = np.where(first, i, j)
+    worse = np.where(first, j, i)
     undecided = np.ones(len(score), bool)
     chosen = np.zeros(len(score), bool)
     while undecided.any():

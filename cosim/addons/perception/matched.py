@@ -13,7 +13,11 @@ from cosim.addons.perception.overlap import in_blocks, iou_3d, iou_bev, near_pai
 
 Truth = tuple[Int[ndarray, "t"], Float[ndarray, "t 7"]]
 """Frame and box of each object."""
-Found = tuple[Int[ndarray, "n"], Float[ndarray, "n 7"], Float[ndarray, "n"]]
+Found = tuple[
+    Int[ndarray, "n"],
+    Float[ndarray, "n 7"],
+    Float[ndarray, "n"],
+]
 """Frame, box and score of each detection."""
 
 
@@ -39,9 +43,7 @@ def precision_and_recall(truth: Truth, found: Found, overlap: float, kind: Overl
     i, j, share = _overlapping(frame, box, of, boxes, kind)
     near = share >= overlap
     i, j, share = i[near], j[near], share[near]
-    rank = np.empty(len(score), np.int64)
-    row = np.arange(len(score))
-    rank[np.lexsort([row, -score])] = row
+    rank = by_score(score)
     order = np.lexsort([i, -share, rank[j]])
     taken = np.zeros(len(frame), bool)
     right = np.zeros(len(score), bool)
@@ -52,10 +54,17 @@ def precision_and_recall(truth: Truth, found: Found, overlap: float, kind: Overl
     hit[rank] = right
     n_right = np.cumsum(hit)
     recall = n_right / len(frame)
-    precision = n_right / (row + 1)
+    precision = n_right / np.arange(1, len(score) + 1)
     precision = np.maximum.accumulate(precision[::-1])[::-1]
     step = np.diff(recall, prepend=0.0)
     return float((step * precision).sum()), float(right.sum() / len(frame))
+
+
+def by_score(score: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Place of each box by descending score; of equal ones, the earlier box comes first."""
+    rank = np.empty(len(score), np.int64)
+    rank[np.argsort(-score, kind="stable")] = np.arange(len(score))
+    return rank
 
 
 def _overlapping(

@@ -151,7 +151,8 @@ def read(
     remarks += _about_keys(every)
     local = {agent.path: _detections(agent, detections, folder) for agent in every}
     frame, why = (objects, "") if objects else _frame(moments, local)
-    remarks += [f"the objects are taken as in the frame of the {_SAID[frame]}: {why}."] * bool(why)
+    if why:
+        remarks.append(f"the objects are taken as in the frame of the {_SAID[frame]}: {why}.")
     truth, aside, more = _objects_of(moments, frame)
     remarks += more + _about_missing(local, every)
     found = []
@@ -183,12 +184,18 @@ def _moments(folder: Path, ego: str | None) -> tuple[list[_Moment], list[str]]:
     """All time stamps of which the ego has a file, and a remark on the others."""
     found, n_without = [], 0
     everybody = stamps(folder)
-    agents_of = {scenario: set[str]().union(*of.values()) for scenario, of in everybody.items()}
-    if ego is not None and not any(ego in agents for agents in agents_of.values()):
-        some = sorted(set().union(*agents_of.values()))
-        raise ValueError(f"--ego {ego}: there is no such agent in {folder}. There are: {', '.join(some[:20])}.")
+
+    def rank(name: str) -> tuple[bool, bool, str]:
+        return name != ego, is_roadside(name), name
+
+    order_of = {}
+    for scenario, of in everybody.items():
+        order_of[scenario] = sorted(set[str]().union(*of.values()), key=rank)
+    names = sorted(set().union(*order_of.values()))
+    if ego is not None and ego not in names:
+        raise ValueError(f"--ego {ego}: there is no such agent in {folder}. There are: {', '.join(names[:20])}.")
     for scenario, of in sorted(everybody.items()):
-        order = sorted(agents_of[scenario], key=lambda name: (name != ego, is_roadside(name), name))
+        order = order_of[scenario]
         for _, files in sorted(of.items()):
             if order[0] not in files or ego not in (None, order[0]):
                 n_without += 1
@@ -197,7 +204,8 @@ def _moments(folder: Path, ego: str | None) -> tuple[list[_Moment], list[str]]:
             found.append(_Moment(f"{scenario.name}/{files[order[0]].stem}", agents))
     if not found:
         raise ValueError(f"{folder}: the ego has no file in any frame.")
-    return found, [f"{n_without:,} frames are left out: their ego has no file there."] * bool(n_without)
+    remark = f"{n_without:,} frames are left out: their ego has no file there."
+    return found, [remark] if n_without else []
 
 
 def _agent(path: Path) -> _Agent:
@@ -221,7 +229,10 @@ def _agent(path: Path) -> _Agent:
     )
 
 
-def _annotations(about: dict[str, Any], path: Path) -> Iterator[tuple[str, Any, dict[str, Any]]]:
+def _annotations(
+    about: dict[str, Any],
+    path: Path,
+) -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Class, key and annotation of each object of a file."""
     n = 0
     for place, listed_there in about.items():
@@ -246,7 +257,10 @@ def _holds_objects(value: Any) -> bool:
     """Whether a value at the top of a file holds objects by number."""
     if not isinstance(value, dict) or not value:
         return False
-    return all(isinstance(one, dict) and {"location", "extent"} <= one.keys() for one in value.values())
+    objects = [one for one in value.values() if isinstance(one, dict)]
+    if len(objects) < len(value):
+        return False
+    return all({"location", "extent"} <= one.keys() for one in objects)
 
 
 def _number_of(one: dict[str, Any], key: Any, path: Path) -> str:
@@ -306,8 +320,11 @@ def _frame(moments: Sequence[_Moment], local: dict[Path, Listed]) -> tuple[Objec
         if any(votes.values()):
             frame = max(votes, key=lambda one: votes[one])
             return frame, words.format(votes[frame]) if frame != usual else ""
-    differs = [np.abs(agent.seen("lidar") - agent.box).max(initial=0.0) for agent in every]
-    if is_matrix and max(differs, default=0.0) > 0.1:
+    differs = [0.0]
+    for agent in every:
+        between = agent.seen("lidar") - agent.box
+        differs.append(np.abs(between).max(initial=0.0))
+    if is_matrix and max(differs) > 0.1:
         raise ValueError(
             f"{every[0].path.parents[1]}: nothing tells whether the objects are in the frame of the world, or in that "
             "of the agent's LiDAR as in V2V4Real. Name it: --objects world or --objects lidar."
@@ -318,7 +335,7 @@ def _frame(moments: Sequence[_Moment], local: dict[Path, Listed]) -> tuple[Objec
 def _agreements(moments: Sequence[_Moment]) -> Votes:
     """By frame, number of objects that two agents have at one place in it, and not in the other."""
     votes: Votes = {"world": 0, "lidar": 0}
-    apart_m: dict[ObjectFrame, list[ndarray]] = {frame: [np.zeros(0)] for frame in votes}
+    apart_m = {frame: [np.zeros(0)] for frame in votes}
     for moment in moments:
         for one, other in combinations(moment.agents, 2):
             at = {key: row for row, key in enumerate(one.key)}
@@ -326,7 +343,8 @@ def _agreements(moments: Sequence[_Moment]) -> Votes:
             ours = [at[other.key[row]] for row in theirs]
             if theirs:
                 for frame in votes:
-                    between_m = one.seen(frame)[ours, :2] - other.seen(frame)[theirs, :2]
+                    ours_m = one.seen(frame)[ours, :2]
+                    between_m = ours_m - other.seen(frame)[theirs, :2]
                     apart_m[frame].append(np.linalg.norm(between_m, axis=1))
     world, lidar = (np.concatenate(apart_m[frame]) for frame in votes)
     votes["world"] = int(((world < _SAME_M) & (lidar > world + _SAME_M)).sum())
@@ -361,7 +379,8 @@ def _within_reach(every: Sequence[_Agent]) -> Votes:
     for frame in votes:
         places = [np.zeros((0, 2))]
         for agent in every:
-            places.append(agent.seen(frame)[:, :2] - agent.world_from[:2, 3])
+            here_m = agent.world_from[:2, 3]
+            places.append(agent.seen(frame)[:, :2] - here_m)
         away_m = np.linalg.norm(np.concatenate(places), axis=1)
         is_near = len(away_m) > 0 and np.median(away_m) <= _FAR_M
         votes[frame] = int(is_near)
@@ -376,21 +395,21 @@ def _objects_of(moments: Sequence[_Moment], frame: ObjectFrame) -> tuple[Recorde
         at = {agent.name: agent.world_from[:2, 3] for agent in moment.agents}
         for agent in moment.agents:
             for key, kind, box in zip(agent.key, agent.kind, agent.seen(frame), strict=True):
-                is_agent = key in at and np.linalg.norm(box[:2] - at[key]) < _ON_AGENT_M
-                if is_agent:
+                xy_m = box[:2]
+                if key in at and np.linalg.norm(xy_m - at[key]) < _ON_AGENT_M:
                     aside.append((number, -1, "agent", box, 1.0))
                     continue
                 if key in known:
-                    if np.linalg.norm(box[:2] - known[key][:2]) < _APART_M:
+                    if np.linalg.norm(xy_m - known[key]) < _APART_M:
                         continue
                     n_elsewhere += 1
-                known.setdefault(key, box)
+                known.setdefault(key, xy_m)
                 truth.append((number, -1, class_of(kind), box, 1.0))
     remark = (
         f"{n_elsewhere:,} annotations have the number of an object that another agent has more than {_APART_M:g} m "
         "away: each counts as an object of its own."
     )
-    return RecordedBoxes.of(truth), RecordedBoxes.of(aside), [remark] * bool(n_elsewhere)
+    return RecordedBoxes.of(truth), RecordedBoxes.of(aside), [remark] if n_elsewhere else []
 
 
 def _detections(agent: _Agent, detections: Path | None, folder: Path) -> Listed:
@@ -428,7 +447,8 @@ def _about_keys(every: Sequence[_Agent]) -> list[str]:
         )
     remarks = []
     if without:
-        remarks.append(f"{len(without):,} of {len(every):,} files have no `vehicles`: the first is {without[0]}.")
+        n = f"{len(without):,} of {len(every):,}"
+        remarks.append(f"{n} files have no `vehicles`: the first is {without[0]}.")
     yaw_rad = np.concatenate([agent.box[:, 6] for agent in every])
     angles = np.unique(np.degrees(yaw_rad).round(6))
     largest = np.abs(angles).max(initial=0.0)
@@ -510,7 +530,10 @@ for _tag in ("int", "float"):
 _Plain.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(rf"^{_FLOAT}$"), list("-+.0123456789"))
 
 
-def _pose(about: dict[str, Any], path: Path) -> tuple[Float[ndarray, "4 4"], bool]:
+def _pose(
+    about: dict[str, Any],
+    path: Path,
+) -> tuple[Float[ndarray, "4 4"], bool]:
     """The LiDAR's pose in the world, and whether it is written as a matrix."""
     value = about.get("lidar_pose")
     if isinstance(value, list) and value and isinstance(value[0], list):

@@ -129,9 +129,10 @@ def within(
     """Rows of two sets of points of the same frame that are at most so far apart, in any order."""
     frames = np.unique(np.concatenate([a_frame, b_frame]))
     apart_m = 2.0 * reach_m + 1.0
-    a, b = (
-        cKDTree(np.column_stack([points_m, np.searchsorted(frames, frame) * apart_m]))
-        for frame, points_m in ((a_frame, a_m), (b_frame, b_m))
-    )
+
+    def tree(frame: Int[ndarray, "k"], points_m: Float[ndarray, "k 2"]) -> cKDTree:
+        return cKDTree(np.column_stack([points_m, np.searchsorted(frames, frame) * apart_m]))
+
+    a, b = tree(a_frame, a_m), tree(b_frame, b_m)
     pairs = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
     return pairs["i"], pairs["j"]

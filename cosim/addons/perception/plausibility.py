@@ -31,7 +31,8 @@ _CAR_M = (2.6, 8.0)
 
 def remarks(data: Recorded) -> tuple[str, ...]:
     """Signs that sizes, angles, poses or frames mean something else, one sentence each."""
-    return (*_frames(data), *_agents(data), *_classes(data), *of_boxes(data.truth, data.found))
+    of_set = (*_frames(data), *_agents(data), *_classes(data))
+    return (*of_set, *of_boxes(data.truth, data.found))
 
 
 def of_boxes(truth: RecordedBoxes, found: RecordedBoxes) -> tuple[str, ...]:
@@ -65,9 +66,10 @@ def _frames(data: Recorded) -> Iterator[str]:
     mirrored = np.einsum("nij,nj->ni", forth, local * [1, -1, 1, 1])
     n_right = _n_near(data.truth, frame, centre[:, :2])
     for places, words in (
-        (local[:, :2], "as boxes of the world"), (mirrored[:, :2], "with y to the right of the LiDAR"),
-    ):  # fmt: skip
-        n = _n_near(data.truth, frame, places)
+        (local, "as boxes of the world"),
+        (mirrored, "with y to the right of the LiDAR"),
+    ):
+        n = _n_near(data.truth, frame, places[:, :2])
         if n >= _FEWEST and n > 3 * n_right:
             yield (
                 f"{n_right:,} of {len(frame):,} detections lie on an object; {words} {n:,} would. The frame that is "
@@ -84,12 +86,14 @@ def _agents(data: Recorded) -> Iterator[str]:
     to_agent_m, _ = _nearest(data.aside, frame, xy_m)
     away = np.minimum(to_object_m, to_agent_m)
     rows = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
-    names = np.array([data.agents[frame][agent] for frame, agent in rows], object)
-    for name in sorted(set(names)):
+    of_rows = [data.agents[frame][agent] for frame, agent in rows]
+    names = np.array(of_rows, object)
+    for name in sorted(set(of_rows)):
         mine = away[names == name] < _NEAR_M
         if len(mine) >= _MANY and mine.mean() < _HARDLY:
+            n_near = int(mine.sum())
             yield (
-                f"{int(mine.sum()):,} of {len(mine):,} detections of agent {name} lie within {_NEAR_M:g} m of an "
+                f"{n_near:,} of {len(mine):,} detections of agent {name} lie within {_NEAR_M:g} m of an "
                 "object. Is its pose right?"
             )
 
@@ -112,7 +116,8 @@ def _nearest(
 ) -> tuple[Float[ndarray, "n"], Int[ndarray, "n"]]:
     """Distance to the nearest object of the same frame, and its row; infinite if it is not near."""
     apart_m = 10 * _NEAR_M  # of frames: objects of another frame are not near
-    tree = cKDTree(np.column_stack([truth.box[:, :2], apart_m * truth.frame]))
+    places = np.column_stack([truth.box[:, :2], apart_m * truth.frame])
+    tree = cKDTree(places)
     return tree.query(np.column_stack([xy_m, apart_m * frame]), distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
 
 

@@ -30,12 +30,29 @@ _STEEPEST = math.cos(math.radians(60.0))
 """Cosine of the largest tilt of a LiDAR: all boxes are upright."""
 
 CLASS_OF = {
-    "car": "car", "van": "car", "vehicle": "car", "policecar": "car", "truck": "truck", "bus": "truck", "tram": "truck",
-    "longvehicle": "truck", "pedestrian": "pedestrian", "person": "pedestrian", "roadworker": "pedestrian",
-    "personsitting": "person_sitting", "cyclist": "cyclist", "bicycle": "cyclist", "motorcyclist": "cyclist",
-    "motorcycle": "cyclist", "tricyclist": "cyclist", "barrowlist": "cyclist", "scooterrider": "cyclist",
-    "bicyclerider": "cyclist", "motorcyclerider": "cyclist", "dontcare": "dontcare",
-}  # fmt: skip
+    "car": "car",
+    "van": "car",
+    "vehicle": "car",
+    "policecar": "car",
+    "truck": "truck",
+    "bus": "truck",
+    "tram": "truck",
+    "longvehicle": "truck",
+    "pedestrian": "pedestrian",
+    "person": "pedestrian",
+    "roadworker": "pedestrian",
+    "personsitting": "person_sitting",
+    "cyclist": "cyclist",
+    "bicycle": "cyclist",
+    "motorcyclist": "cyclist",
+    "motorcycle": "cyclist",
+    "tricyclist": "cyclist",
+    "barrowlist": "cyclist",
+    "scooterrider": "cyclist",
+    "bicyclerider": "cyclist",
+    "motorcyclerider": "cyclist",
+    "dontcare": "dontcare",
+}
 """Our class by a data set's name of it, in lower case without blanks and signs; other names keep their own."""
 
 

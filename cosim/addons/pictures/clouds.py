@@ -29,13 +29,22 @@ def npy(cloud: Cloud) -> bytes:
 
 def kitti(cloud: Cloud) -> bytes:
     """KITTI's velodyne files: float32 x, y, z, reflectance; there is no reflectance here, hence 0."""
-    return np.column_stack([cloud[0], np.zeros(len(cloud[0]))]).astype("<f4").tobytes()
+    xyz, _ = cloud
+    rows = np.column_stack([xyz, np.zeros(len(xyz))])
+    return rows.astype("<f4").tobytes()
 
 
 def ply(cloud: Cloud) -> bytes:
     """Polygon file format, binary; `hit` beside the coordinates."""
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(cloud[0])}",
-            *(f"property float {axis}" for axis in "xyz"), "property int hit", "end_header", ""]  # fmt: skip
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(cloud[0])}",
+        *(f"property float {axis}" for axis in "xyz"),
+        "property int hit",
+        "end_header",
+        "",
+    ]
     return "\n".join(head).encode() + _records(cloud).tobytes()
 
 
@@ -53,8 +62,19 @@ def pcd_ascii(cloud: Cloud) -> bytes:
 
 def _pcd_head(cloud: Cloud, data: str) -> bytes:
     n = len(cloud[0])
-    head = ["VERSION 0.7", "FIELDS x y z hit", "SIZE 4 4 4 4", "TYPE F F F I", "COUNT 1 1 1 1", f"WIDTH {n}",
-            "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0", f"POINTS {n}", f"DATA {data}", ""]  # fmt: skip
+    head = [
+        "VERSION 0.7",
+        "FIELDS x y z hit",
+        "SIZE 4 4 4 4",
+        "TYPE F F F I",
+        "COUNT 1 1 1 1",
+        f"WIDTH {n}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {n}",
+        f"DATA {data}",
+        "",
+    ]
     return "\n".join(head).encode()
 
 
@@ -66,6 +86,10 @@ def _records(cloud: Cloud) -> ndarray:
 
 
 FORMATS: dict[str, Callable[[Cloud], bytes]] = {
-    ".npy": npy, ".bin": kitti, ".ply": ply, ".pcd": pcd, ".pcd.txt": pcd_ascii,
-}  # fmt: skip
+    ".npy": npy,
+    ".bin": kitti,
+    ".ply": ply,
+    ".pcd": pcd,
+    ".pcd.txt": pcd_ascii,
+}
 """Encoders by file name suffix."""

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-import pyarrow.compute as pc
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy import ndarray
 
 from results.figures import style
 from results.metrics import encounters
+from results.moments import at_steps
 from results.run import Run
 
 _OFFSET = 1 << 30
@@ -77,8 +77,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
 def _begun(run: Run, radius_m: float | None, pairs: str | None) -> ndarray:
     """Where encounters begin [n 2]."""
     frame = encounters.begun(run, radius_m, pairs).rename(columns={"start_step": "step"})
-    steps = frame.step.unique().tolist()
-    poses = run.table("actors", ["step", "actor", "x_m", "y_m"], pc.field("step").isin(steps))
+    poses = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(frame.step.unique()))
     poses = poses.set_index(["step", "actor"])
     keys = [pd.MultiIndex.from_frame(frame[["step", who]]) for who in ("a", "b")]
     one, other = (poses.reindex(key).to_numpy() for key in keys)

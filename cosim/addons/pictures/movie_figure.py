@@ -22,6 +22,7 @@ from numpy import ndarray
 from cosim.base import durable
 from results.figures import style
 from results.metrics.trust import in_vehicles
+from results.moments import at_steps
 from results.run import Run
 from results.sensing import interval_steps
 
@@ -93,8 +94,8 @@ class _Film:
 
     def __init__(self, run: Run, vehicle: int | None, steps: ndarray, streets, buildings) -> None:  # type: ignore[no-untyped-def]
         self.vehicle, self._dt_s = vehicle, run.dt_s
-        where = pc.field("step").isin(steps.tolist())
-        self._actors = dict(iter(run.table("actors", ["step", "actor", "x_m", "y_m"], where).groupby("step")))
+        actors = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(steps))
+        self._actors = dict(iter(actors.groupby("step")))
         of = run.subjects.vehicle
         own = pc.field("observer").isin(of.index[of == vehicle].tolist())
         found = run.table(

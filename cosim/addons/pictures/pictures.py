@@ -14,6 +14,7 @@ import shapely
 
 from cosim.addons.pictures import clouds, movie_figure, scene_figure, sweep_figure
 from cosim.base import durable
+from cosim.config.config import Config
 from cosim.runs.replay_lidar import city_of, config_of, worlds
 from cosim.runs.replay_lidar import sweep as replayed
 from cosim.traffic.scenario import find
@@ -81,10 +82,9 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
     believed = sweeps.poses
     if len(errors):  # the pose that displaced the boxes
         believed = believed.displaced(errors[["error_x_m", "error_y_m", "error_yaw_rad"]].to_numpy(float))
-    actors, reported = (
-        poses.to_sensor(np.zeros(len(of), int), of)
-        for poses, of in ((sweeps.poses, world.boxes.take(rows)), (believed, boxes))
-    )
+    others = world.boxes.take(rows)
+    actors = sweeps.poses.to_sensor(np.zeros(len(others), int), others)
+    reported = believed.to_sensor(np.zeros(len(boxes), int), boxes)
     return ReplayedScan(sweeps, actors, reported)
 
 
@@ -117,8 +117,8 @@ def sweep(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
 
 def _from_above(boxes: Boxes) -> np.ndarray:
     """Centre, length, width and yaw of boxes [n 5]."""
-    xy_m, lw_m = boxes.xyz_m[:, :2], boxes.lwh_m[:, :2]
-    return np.column_stack([xy_m, lw_m, boxes.yaw_rad])
+    xy_m = boxes.xyz_m[:, :2]
+    return np.column_stack([xy_m, boxes.lwh_m[:, :2], boxes.yaw_rad])
 
 
 def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: Path | None) -> Path:
@@ -156,15 +156,13 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     seen_m = {}
     for n, observer in enumerate(observers):
         seen_m[observer] = sweeps.poses.to_world(n, sweeps.xyz(n))
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    lanes = () if scenario.net is None else network.lanes(scenario.net)
     lies = run.table("detections", where=(pc.field("step") == step))
     lies = lies[(lies.origin == "fabricated") & lies.transmitted]
     columns = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
     b = world.boxes
     moment = scene_figure.SceneMoment(
         centre_m=xy_m[chosen[0]],
-        streets=[lane.line_m[:, :2] - scenario.origin_m for lane in lanes if lane.for_cars],
+        streets=[line_m for line_m, lane in _lanes(config) if lane.for_cars],
         buildings=[
             (shapely.get_coordinates(shapely.get_exterior_ring(polygon))[:-1], base, top)
             for polygon, base, top in zip(city.footprints, city.buildings.base_m, city.buildings.top_m, strict=True)
@@ -191,6 +189,13 @@ def _first_trust(run: Run) -> str:
     return f"no vehicle on the road has a trust value yet; the first of the run are of step {known.step.min()}."
 
 
+def _lanes(config: Config) -> list[tuple[np.ndarray, network.Lane]]:
+    """The lanes of a run's network, with their lines in the world frame."""
+    scenario = find(config.traffic.scenario, config.traffic.trace)
+    lanes = () if scenario.net is None else network.lanes(scenario.net)
+    return [(lane.line_m[:, :2] - scenario.origin_m, lane) for lane in lanes]
+
+
 def movie(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: Path | None) -> Path:
     """A movie of a run on the map of its city."""
     if len(runs) != 1 or len(vehicles) > 1 or step is not None:
@@ -206,8 +211,6 @@ def film(
 ) -> Path:
     """A movie of a run on the map of its city."""
     config = config_of(run)
-    scenario = find(config.traffic.scenario, config.traffic.trace)
-    lanes = [] if scenario.net is None else network.lanes(scenario.net)
-    streets = [lane.line_m[:, :2] - scenario.origin_m for lane in lanes]
+    streets = [line_m for line_m, _ in _lanes(config)]
     buildings = [shapely.get_coordinates(shapely.get_exterior_ring(polygon)) for polygon in city_of(config).footprints]
     return movie_figure.write(run, out or run.path / "movie.gif", vehicle, streets, buildings, progress)

@@ -33,7 +33,9 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
         over_space, over_time = panels[2 * i : 2 * i + 2]
         mesh = _heat(over_space, x, y, _edges(x, cell_m), _edges(y, cell_m), n, n_stale)
         style.map_panel(over_space, f"{prefix} over space")
-        along, label = (x, "East [m]") if np.ptp(x) > np.ptp(y) else (y, "North [m]")
+        along, label = x, "East [m]"
+        if np.ptp(y) >= np.ptp(x):
+            along, label = y, "North [m]"
         time_s = found.step.to_numpy() * run.dt_s
         last_s = time_s.max()
         n_bins = min(_BINS, int(last_s / run.dt_s) + 1)
@@ -48,13 +50,15 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
 
 
 def _edges(values: ndarray, cell_m: float) -> ndarray:
-    first, last = np.floor(values.min() / cell_m), np.floor(values.max() / cell_m)
+    first = np.floor(values.min() / cell_m)
+    last = np.floor(values.max() / cell_m)
     return np.arange(first, last + 2) * cell_m
 
 
 def _heat(axes: Axes, x: ndarray, y: ndarray, x_edges: ndarray, y_edges: ndarray, n: ndarray, n_stale: ndarray):  # type: ignore[no-untyped-def]
     """Shares in cells; those with few lookups stay empty."""
     edges = (x_edges, y_edges)
-    total, old = (np.histogram2d(x, y, edges, weights=w)[0] for w in (n, n_stale))
+    total, *_ = np.histogram2d(x, y, edges, weights=n)
+    old, *_ = np.histogram2d(x, y, edges, weights=n_stale)
     share = np.ma.masked_where(total < _LEAST, old / np.maximum(total, 1))
     return axes.pcolormesh(*edges, share.T, cmap="cividis", vmin=0, vmax=1, rasterized=True)

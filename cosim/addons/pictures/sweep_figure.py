@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy import ndarray
 
 from results.figures import style
@@ -27,18 +26,22 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
     boxes
         By name, boxes in the same frame: x, y, length, width, yaw [n 5].
     """
-    far_m = float(np.hypot(xyz[:, 0], xyz[:, 1]).max(initial=10.0))
+    away_m = np.hypot(xyz[:, 0], xyz[:, 1])
+    far_m = float(away_m.max(initial=10.0))
     ahead = float(xyz[:, 0].min(initial=0.0)) > -0.1 * far_m
     figure, (panel,) = style.sheet(height=2.4 if ahead else 3.7)
-    entries: list[Line2D] = []
+    entries = []
     for code, (name, colour) in SURFACES.items():
         rows = np.minimum(hit, 3) == code
-        panel.plot(-xyz[rows, 1], xyz[rows, 0], ",", color=colour, rasterized=True)
-        entries.append(Line2D([], [], color=colour, marker="o", markersize=3, linestyle="", label=name))
+        ahead_m, left_m = xyz[rows, :2].T
+        panel.plot(-left_m, ahead_m, ",", color=colour, rasterized=True)
+        entries.append(style.entry(name, color=colour, marker="o", markersize=3, linestyle=""))
     for i, (name, table) in enumerate(boxes.items()):
-        colour, dash = style.INKS[(0, 2, 3)[i % 3]], style.DASHES[i]
-        panel.add_collection(LineCollection(list(_outlines(table)), colors=colour, linestyles=[dash], linewidths=1.1))
-        entries.append(Line2D([], [], color=colour, linestyle=dash, label=name))
+        colour = style.INKS[(0, 2, 3)[i % 3]]
+        dash = style.DASHES[i]
+        lines = list(_outlines(table))
+        panel.add_collection(LineCollection(lines, colors=colour, linestyles=[dash], linewidths=1.1))
+        entries.append(style.entry(name, color=colour, linestyle=dash))
     panel.plot(0, 0, "k+", markersize=9)
     style.panel(panel, title, "Right [m]", "Ahead [m]")
     panel.set_aspect("equal")

@@ -53,9 +53,10 @@ def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
         counted = {"unit": unit, "tp": tp, "fp": fp, "fn": fn, "tn": tn}
         rows.append(counted | rates(tp, fp, fn, tn))
         for name, value, among in (
-            ("precision", some.attacker, some.excluded), ("recall", some.excluded, some.attacker),
+            ("precision", some.attacker, some.excluded),
+            ("recall", some.excluded, some.attacker),
             ("fpr", some.excluded, ~some.attacker),
-        ):  # fmt: skip
+        ):
             found = intervals.of_units(value[among].to_numpy(bool), some.subject[among].to_numpy())
             rows[-1] |= intervals.columns(found, name)
     return pd.DataFrame(rows)
@@ -118,7 +119,8 @@ def rates(tp: float, fp: float, fn: float, tn: float) -> dict[str, float]:
 
     recall = over(tp, tp + fn)
     fpr = over(fp, fp + tn)
-    product = (tp + fp) * (tp + fn) * (tn + fp) * (tn + fn)
+    product = (tp + fp) * (tp + fn) * (tn + fp)
+    product *= tn + fn
     return {
         "precision": over(tp, tp + fp),
         "recall": recall,
@@ -170,9 +172,9 @@ def trust_error(run: Run) -> pd.DataFrame:
     """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by subject."""
     frame = scored_vehicles(run).query("rated")
     error = (frame.trust.astype(float) - (frame.role == HONEST)).abs()
-    return pd.DataFrame([
-        {"role": role} | intervals.columns(
-            intervals.of_units(error[one.index].to_numpy(float), one.subject.to_numpy()), "error"
-        )
-        for role, one in frame.groupby("role", observed=True)
-    ])  # fmt: skip
+    rows = []
+    for role, one in frame.groupby("role", observed=True):
+        errors = error[one.index].to_numpy(float)
+        found = intervals.of_units(errors, one.subject.to_numpy())
+        rows.append({"role": role} | intervals.columns(found, "error"))
+    return pd.DataFrame(rows)

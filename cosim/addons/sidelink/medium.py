@@ -286,7 +286,11 @@ class _RoundPlan:
 
 
 def _receptions_of(
-    unit: ndarray, links: Links, reception: ndarray, rows: Int[ndarray, "f"], attempt: Int[ndarray, "f"] | int
+    unit: ndarray,
+    links: Links,
+    reception: ndarray,
+    rows: Int[ndarray, "f"],
+    attempt: Int[ndarray, "f"] | int,
 ) -> ndarray:
     """Outcomes of these transmissions at their receivers, one transmission after the other."""
     degree = np.diff(links.ptr)[unit["station"][rows]]

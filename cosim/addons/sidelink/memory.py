@@ -18,7 +18,7 @@ from cosim.addons.sidelink.records import (
     SlotRules,
 )
 from cosim.addons.sidelink.slots import count_entries, load_entries
-from cosim.base.ragged import offsets
+from cosim.base.ragged import differs_from_last, offsets
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE
 from cosim.radio.link_cache import LinkCache
@@ -48,7 +48,8 @@ class SidelinkState:
 def stations_of(state: SidelinkState, stations: Stations) -> tuple[ndarray, Int[ndarray, "n"]]:
     """Records of these stations, in this order, and their rows in the state; new stations have sensed nothing."""
     old = state.station["key"]
-    station, was = np.zeros(len(stations), STATION), np.full(len(stations), NONE, np.int64)
+    station = np.zeros(len(stations), STATION)
+    was = np.full(len(stations), NONE, np.int64)
     if np.array_equal(old, stations.key):
         was = np.arange(len(stations))
     else:
@@ -71,7 +72,8 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
     new = np.flatnonzero(~known)
     if len(new):
         more = np.zeros(len(new), PROCESS)
-        more["key"], more["station"] = key[new], stations.key[unit["station"][new]]
+        more["key"] = key[new]
+        more["station"] = stations.key[unit["station"][new]]
         more["next_slot"], more["generated"] = NEVER, NONE
         process = np.concatenate([process, more])
         process = process[np.argsort(process["key"])]
@@ -81,9 +83,15 @@ def processes_of(process: ndarray, unit: ndarray, key: UInt64[ndarray, "u"], sta
 
 
 def memory_of(
-    process: ndarray, station: ndarray, was: Int[ndarray, "n"], state: SidelinkState, unit: ndarray, links: Links,
-    rules: SlotRules, begin: int,
-) -> Memory:  # fmt: skip
+    process: ndarray,
+    station: ndarray,
+    was: Int[ndarray, "n"],
+    state: SidelinkState,
+    unit: ndarray,
+    links: Links,
+    rules: SlotRules,
+    begin: int,
+) -> Memory:
     """Linked lists of each station's processes; its entries and the reservations, with room for those of the round.
 
     Reservations that end before the slot `begin` are left out.
@@ -91,7 +99,9 @@ def memory_of(
     order = np.argsort(station["key"])
     of = order[np.searchsorted(station["key"][order], process["station"])]
     own, next_own = _lists(of, len(station))
-    n_announced = np.array([0, 1, 4, 9])[unit["n_sent"]] if rules.with_repeats else unit["n_sent"].astype(np.int64)
+    n_announced = unit["n_sent"].astype(np.int64)
+    if rules.with_repeats:
+        n_announced = np.array([0, 1, 4, 9])[n_announced]
     room = np.zeros(len(station), np.int64)
     room[was != NONE] = state.n_entries[was[was != NONE]]
     count_entries(links.ptr, links.receiver, unit, n_announced, room)
@@ -103,17 +113,18 @@ def memory_of(
     load_entries((state.entry, state.ptr, state.n_entries), was, number, entry, ptr, n_entries)
     reservation = np.zeros(len(lasting) + int(n_announced.sum()), RESERVATION)
     reservation[: len(lasting)] = state.reservation[lasting]
-    return Memory(process, own, next_own, station, entry, ptr, n_entries, reservation, np.array([len(lasting)]))
+    n_reserved = np.array([len(lasting)])
+    return Memory(process, own, next_own, station, entry, ptr, n_entries, reservation, n_reserved)
 
 
 def _lists(of: Int[ndarray, "p"], n: int) -> tuple[ndarray, ndarray]:
     """The rows of each owner as linked lists: the first row of each owner, and the row after each row."""
-    first, after = np.full(n, NONE, np.int64), np.full(len(of), NONE, np.int64)
+    first = np.full(n, NONE, np.int64)
+    after = np.full(len(of), NONE, np.int64)
     order = np.argsort(of, kind="stable")
-    same = of[order][1:] == of[order][:-1]
+    begins = differs_from_last(of[order])
+    same = ~begins[1:]
     after[order[:-1][same]] = order[1:][same]
-    begins = np.ones(len(of), bool)
-    begins[1:] = ~same
     first[of[order][begins]] = order[begins]
     return first, after
 
@@ -137,4 +148,9 @@ def log_of(unit: ndarray, links: Links, n_slots: int) -> SlotLog:
 def room_of(rules: SlotRules) -> Room:
     """Room for one choice of resources."""
     n = (rules.last + 1) * rules.n_subchannels
-    return Room(np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, np.uint64))
+    return Room(
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n, np.int64),
+        np.zeros(n, np.uint64),
+    )

@@ -135,10 +135,19 @@ def contacts(
     from cosim.addons.traces.units import LENGTH_M, TIME_S
 
     params = ContactParams(
-        scenario=scenario, step_s=step_s, max_gap_s=max_gap_s, max_speed_mps=max_speed_mps, appearance=appearance,
-        from_s=from_s, to_s=to_s, columns=columns_of(actor, time, (x, y), (lat, lon), frame_hz), frame_hz=frame_hz,
-        repair=repair, time_unit_s=TIME_S.get(time_unit or ""), length_unit_m=LENGTH_M.get(length_unit or ""),
-    )  # fmt: skip
+        scenario=scenario,
+        step_s=step_s,
+        max_gap_s=max_gap_s,
+        max_speed_mps=max_speed_mps,
+        appearance=appearance,
+        from_s=from_s,
+        to_s=to_s,
+        columns=columns_of(actor, time, (x, y), (lat, lon), frame_hz),
+        frame_hz=frame_hz,
+        repair=repair,
+        time_unit_s=TIME_S.get(time_unit or ""),
+        length_unit_m=LENGTH_M.get(length_unit or ""),
+    )
     params = _with_definitions(params, config, radius_m, hysteresis_s, pairs, trust_code)
     with progress() as advance:
         folder = count(files, params, out, advance)
@@ -146,9 +155,13 @@ def contacts(
 
 
 def _with_definitions(
-    params: "ContactParams", config: Path | None, radius_m: list[float] | None, hysteresis_s: float | None,
-    pairs: Pairs | None, trust_code: bool,
-) -> "ContactParams":  # fmt: skip
+    params: "ContactParams",
+    config: Path | None,
+    radius_m: list[float] | None,
+    hysteresis_s: float | None,
+    pairs: Pairs | None,
+    trust_code: bool,
+) -> "ContactParams":
     """What is counted, by the config or by the options."""
     from cosim.config.config import load
     from cosim.config.data import validated
@@ -165,16 +178,19 @@ def _with_definitions(
     if hysteresis_s is not None:
         more["hysteresis_s"] = hysteresis_s
     definitions = [more | {"radius_m": r} for r in radius_m] if radius_m else [more]
-    checked = [
-        validated(EncounterParams, data, f"encounters.{n}", "the command line") for n, data in enumerate(definitions)
-    ]
+    checked = []
+    for n, data in enumerate(definitions):
+        checked.append(validated(EncounterParams, data, f"encounters.{n}", "the command line"))
     return replace(params, encounters=tuple(checked))
 
 
 def columns_of(
-    actor: str | None, time: str | None, metres: tuple[str | None, str | None],
-    degrees: tuple[str | None, str | None], frame_hz: float | None,
-) -> "PositionColumns | None":  # fmt: skip
+    actor: str | None,
+    time: str | None,
+    metres: tuple[str | None, str | None],
+    degrees: tuple[str | None, str | None],
+    frame_hz: float | None,
+) -> "PositionColumns | None":
     """Columns named on the command line; None if none is named."""
     from cosim.addons.traces.positions import PositionColumns
 
@@ -182,7 +198,8 @@ def columns_of(
         return None
     if any(metres) and any(degrees):
         raise ValueError("--x and --y are metres, --lat and --lon are degrees: a trace has one of the two. Name two.")
-    if not all(place := degrees if any(degrees) else metres):
+    place = degrees if any(degrees) else metres
+    if not all(place):
         raise ValueError("--x and --y go together, and so do --lat and --lon. Name both columns.")
     x, y = (str(name).strip() for name in place)
     if any(degrees) and "lon" in x.lower() and "lat" in y.lower():
@@ -204,7 +221,9 @@ def _print_counted(folder: Path, as_json: bool) -> None:
     if as_json:
         print_json({"run": str(folder), "summary": run.manifest["summary"], "measures": rows_of(measures)})
         return
-    values = {(row["metric"], row["group"]): float(row["value"]) for row in measures.to_dict("records")}
+    values = {}
+    for row in measures.to_dict("records"):
+        values[row["metric"], row["group"]] = float(row["value"])
     given = shlex.quote(str(folder))
     lines = {
         "trace": _trace(run, values),
@@ -227,8 +246,8 @@ def _trace(run: "OpenRun", values: dict[tuple[str, str], float]) -> list[str]:
     ]
     if "interpolated_share" in about:
         lines.append(
-            f"{about['actors']:,} vehicles with {about['positions']:,} positions; {about['gaps']:,} gaps and "
-            f"{about['jumps']:,} jumps cut them into {about['tracks']:,} tracks"
+            f"{about['actors']:,} vehicles with {about['positions']:,} positions; "
+            f"{about['gaps']:,} gaps and {about['jumps']:,} jumps cut them into {about['tracks']:,} tracks"
         )
         lines.append(
             f"{about['interpolated_share']:.0%} of positions are interpolated, with an error of at most "
@@ -245,11 +264,12 @@ def found_lines(about: dict[str, Any]) -> list[str]:
     """Sentences on what the numbers of a trace were taken for: classes, speeds, extent, and units."""
     lines = []
     if "speed_median_mps" in about:
-        classes = ", ".join(f"{n:,} {name}" for name, n in about["classes"].items())
+        classes = [f"{n:,} {name}" for name, n in about["classes"].items()]
         lines.append(
-            f"{classes}; speeds {plain(about['speed_median_mps'])} m/s (median) and {plain(about['speed_p95_mps'])} "
-            f"m/s (95 %); {plain(about['extent_east_m'])} m from west to east, {plain(about['extent_north_m'])} m from "
-            "south to north"
+            f"{', '.join(classes)}; "
+            f"speeds {plain(about['speed_median_mps'])} m/s (median) and {plain(about['speed_p95_mps'])} m/s (95 %); "
+            f"{plain(about['extent_east_m'])} m from west to east, "
+            f"{plain(about['extent_north_m'])} m from south to north"
         )
     if read_as := about.get("read_as"):
         lines.append("read as: " + "; ".join(read_as))

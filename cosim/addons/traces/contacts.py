@@ -199,9 +199,16 @@ def _first_and_interval_s(path: Path) -> tuple[float, float]:
 
 
 def _of_traffic(
-    scenario: Scenario, traffic: TrafficParams, equipment: Config, beside: Config, params: ContactParams,
-    paths: Sequence[Path], out: Path | None, advance: Advance, skipped_s: float,
-) -> Path:  # fmt: skip
+    scenario: Scenario,
+    traffic: TrafficParams,
+    equipment: Config,
+    beside: Config,
+    params: ContactParams,
+    paths: Sequence[Path],
+    out: Path | None,
+    advance: Advance,
+    skipped_s: float,
+) -> Path:
     """Count encounters of worlds, as a run does; `skipped_s` skips the empty world before a trace.
 
     Trees, parked cars and objects are those of the config `beside`, placed by its seed.
@@ -284,9 +291,12 @@ class _Extent:
         extent_m = self.high_m - self.low_m if self.n_of_speed.any() else np.zeros(2)
         east_m, north_m = extent_m.tolist()
         return {
-            "speed_median_mps": median, "speed_p95_mps": p95, "extent_east_m": east_m, "extent_north_m": north_m,
+            "speed_median_mps": median,
+            "speed_p95_mps": p95,
+            "extent_east_m": east_m,
+            "extent_north_m": north_m,
             "classes": class_counts(shape),
-        }  # fmt: skip
+        }
 
 
 def _steps_asked(params: ContactParams, step_s: float) -> int:
@@ -331,9 +341,10 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
                 vehicle = number[here.track]
                 use = np.argsort(vehicle)
                 use = use if p.pedestrians else use[~on_foot[vehicle[use]]]
-                a, b, distance_m = _near(vehicle[use], here.xy_m[use], p.radius_m)
+                present = vehicle[use]
+                a, b, distance_m = _near(present, here.xy_m[use], p.radius_m)
                 is_los = np.ones(len(a), bool)
-                ended, *_ = tracker.update(here.step, a, b, distance_m, is_los, vehicle[use])
+                ended, *_ = tracker.update(here.step, a, b, distance_m, is_los, present)
                 closed.append(ended)
             counted.add(here.step, closed, len(here.track))
             if here.step % 100 == 99 or here.step + 1 == found.n_steps:
@@ -397,9 +408,14 @@ class _Folder:
     """The folder that is written, or nothing at all if something goes wrong."""
 
     def __init__(
-        self, out: Path | None, name: str, params: ContactParams, step_s: float, appearance: Appearance,
+        self,
+        out: Path | None,
+        name: str,
+        params: ContactParams,
+        step_s: float,
+        appearance: Appearance,
         block_steps: int = _BLOCK_STEPS,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._out, self._name, self._block_steps = out, name, block_steps
         self._trackers = tuple(EncounterTracker(p, step_s, appearance=appearance) for p in params.encounters)
 
@@ -431,7 +447,10 @@ def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
     )
 
 
-def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarray, "s"], dict[str, Any]]:
+def _vehicles_of(
+    fixes: Fixes,
+    found: tracks.PositionTracks,
+) -> tuple[Int[ndarray, "s"], dict[str, Any]]:
     """Number of the vehicle of each track, in the order of first tracks, and the same columns."""
     number_of = {name: number for number, name in enumerate(dict.fromkeys(found.names))}
     number = np.array([number_of[name] for name in found.names])
@@ -444,31 +463,66 @@ def _vehicles_of(fixes: Fixes, found: tracks.PositionTracks) -> tuple[Int[ndarra
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])
     equipped = np.zeros(len(first), bool)
     return number, _vehicle_columns(
-        list(number_of), fixes.shape[actor], lwh_m[actor], equipped, found.first_step[first], last_step, n_steps
+        list(number_of),
+        fixes.shape[actor],
+        lwh_m[actor],
+        equipped,
+        found.first_step[first],
+        last_step,
+        n_steps,
     )
 
 
 def _vehicle_columns(
-    names: Sequence[str], shape: ndarray, lwh_m: ndarray, equipped: Bool[ndarray, "n"], first_step: ndarray,
-    last_step: ndarray, n_steps: ndarray,
-) -> dict[str, ndarray | None]:  # fmt: skip
+    names: Sequence[str],
+    shape: ndarray,
+    lwh_m: ndarray,
+    equipped: Bool[ndarray, "n"],
+    first_step: ndarray,
+    last_step: ndarray,
+    n_steps: ndarray,
+) -> dict[str, ndarray | None]:
     n = len(names)
     return {
-        "vehicle": np.arange(n, dtype=np.int32), "sumo_id": np.array(names, object), "vehicle_class": shape,
-        "length_m": lwh_m[:, 0], "width_m": lwh_m[:, 1], "height_m": lwh_m[:, 2], "equipped": equipped,
-        "role": np.zeros(n, np.uint8), "role__valid": equipped, "attack": None, "first_step": first_step,
-        "last_step": last_step, "n_steps": n_steps, "attack_start_step": None,
-    }  # fmt: skip
+        "vehicle": np.arange(n, dtype=np.int32),
+        "sumo_id": np.array(names, object),
+        "vehicle_class": shape,
+        "length_m": lwh_m[:, 0],
+        "width_m": lwh_m[:, 1],
+        "height_m": lwh_m[:, 2],
+        "equipped": equipped,
+        "role": np.zeros(n, np.uint8),
+        "role__valid": equipped,
+        "attack": None,
+        "first_step": first_step,
+        "last_step": last_step,
+        "n_steps": n_steps,
+        "attack_start_step": None,
+    }
 
 
 def _finish(
-    counted: _Counted, name: str, paths: Sequence[Path], params: ContactParams, step_s: float, about: dict[str, Any],
+    counted: _Counted,
+    name: str,
+    paths: Sequence[Path],
+    params: ContactParams,
+    step_s: float,
+    about: dict[str, Any],
     net: dict[str, str],
-) -> None:  # fmt: skip
+) -> None:
     """Write the manifest."""
-    given = {key: getattr(params, key) for key in (
-        "max_gap_s", "max_speed_mps", "from_s", "to_s", "time_unit_s", "length_unit_m", "repair",
-    )}  # fmt: skip
+    given = {
+        key: getattr(params, key)
+        for key in (
+            "max_gap_s",
+            "max_speed_mps",
+            "from_s",
+            "to_s",
+            "time_unit_s",
+            "length_unit_m",
+            "repair",
+        )
+    }
     given["columns"] = None if params.columns is None else asdict(params.columns)
     config = {
         "sensing": False,
@@ -477,10 +531,19 @@ def _finish(
         "contacts": {"files": [str(path) for path in paths]} | about | given,
     }
     summary = counted.report | {"actors_per_step_mean": round(counted.n_present / counted.n_steps, 3)}
-    finish(counted.folder, {
-        "dt_s": step_s, "steps": counted.n_steps, "config": config, "versions": versions("columnar"),
-        "source": source(), "net": net, "timings_s": {}, "summary": summary,
-    })  # fmt: skip
+    finish(
+        counted.folder,
+        {
+            "dt_s": step_s,
+            "steps": counted.n_steps,
+            "config": config,
+            "versions": versions("columnar"),
+            "source": source(),
+            "net": net,
+            "timings_s": {},
+            "summary": summary,
+        },
+    )
 
 
 def _plain_name(path: Path) -> str:

@@ -61,9 +61,13 @@ def write_trace(fixes: Fixes, params: TrackParams, out: Path) -> dict[str, Any]:
         partial.unlink(missing_ok=True)
     actors = sorted(set(found.actor.tolist()))
     return {
-        "actors": len(actors), "tracks": len(found.names), "steps": found.n_steps, **found.report,
-        "classes": class_counts(fixes.shape[actors]), "read_as": list(fixes.read_as),
-    }  # fmt: skip
+        "actors": len(actors),
+        "tracks": len(found.names),
+        "steps": found.n_steps,
+        **found.report,
+        "classes": class_counts(fixes.shape[actors]),
+        "read_as": list(fixes.read_as),
+    }
 
 
 def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Timestep]:
@@ -73,7 +77,8 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
     never moves. A slow one turns whenever it has come far enough from where it had its direction. Sizes are those of
     the positions, or those of the class.
     """
-    names, kinds = np.array(found.names, object), np.array(fixes.kinds, object)[found.actor]
+    names = np.array(found.names, object)
+    kinds = np.array(fixes.kinds, object)[found.actor]
     lwh_m = np.array([kind.lwh_m for kind in fixes.types])[found.actor]
     vclass = np.array([kind.vclass for kind in fixes.types], object)[found.actor]
     is_person = vclass == "pedestrian"
@@ -85,8 +90,10 @@ def timesteps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Ti
     for here, then in pairwise(chain(steps(fixes, found, step_s), [empty])):
         after_m[then.track] = then.xy_m
         a_m, b_m = before_m[here.track], after_m[here.track]
-        has_before, has_after = np.isfinite(a_m[:, :1]), np.isfinite(b_m[:, :1])
-        moved_m = np.where(has_after, b_m, here.xy_m) - np.where(has_before, a_m, here.xy_m)
+        has_before = np.isfinite(a_m[:, :1])
+        has_after = np.isfinite(b_m[:, :1])
+        to_m = np.where(has_after, b_m, here.xy_m)
+        moved_m = to_m - np.where(has_before, a_m, here.xy_m)
         distance_m = np.hypot(*moved_m.T)
         took_s = step_s * (has_before.sum(axis=1) + has_after.sum(axis=1))
         is_new = np.isnan(turned_m[here.track, 0])
@@ -154,16 +161,18 @@ def _write(of: Iterator[Timestep], path: Path, fixes: Fixes) -> None:
 
 def _table(timestep: Timestep) -> pa.Table:
     assert timestep.lwh_m is not None and timestep.vclasses is not None
-    return pa.table({
-        "timestep_time": np.full(len(timestep.names), timestep.time_s),
-        "vehicle_id": pa.array(timestep.names, pa.string()),
-        "vehicle_x": timestep.front_m[:, 0],
-        "vehicle_y": timestep.front_m[:, 1],
-        "vehicle_angle": timestep.compass_deg,
-        "vehicle_type": pa.array(timestep.types, pa.string()),
-        "vehicle_speed": timestep.speed_mps,
-        "vehicle_vClass": pa.array(timestep.vclasses, pa.string()),
-        "vehicle_length": timestep.lwh_m[:, 0],
-        "vehicle_width": timestep.lwh_m[:, 1],
-        "vehicle_height": timestep.lwh_m[:, 2],
-    })  # fmt: skip
+    return pa.table(
+        {
+            "timestep_time": np.full(len(timestep.names), timestep.time_s),
+            "vehicle_id": pa.array(timestep.names, pa.string()),
+            "vehicle_x": timestep.front_m[:, 0],
+            "vehicle_y": timestep.front_m[:, 1],
+            "vehicle_angle": timestep.compass_deg,
+            "vehicle_type": pa.array(timestep.types, pa.string()),
+            "vehicle_speed": timestep.speed_mps,
+            "vehicle_vClass": pa.array(timestep.vclasses, pa.string()),
+            "vehicle_length": timestep.lwh_m[:, 0],
+            "vehicle_width": timestep.lwh_m[:, 1],
+            "vehicle_height": timestep.lwh_m[:, 2],
+        }
+    )

@@ -303,9 +303,9 @@ def read(
         read_as[f"classes of {n_several} actors change: each has its most frequent one"] = None
     kinds = [list(kind_codes)[code] for code in kind.tolist()]
     if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
-        few = ", ".join(f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5])
+        few = [f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5]]
         more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
-        read_as[f"classes guessed from their names: {few}{more}"] = None
+        read_as[f"classes guessed from their names: {', '.join(few)}{more}"] = None
     if off_road := sorted({kind for kind in kinds if vtypes.guess(kind).vclass not in SHAPE_OF_CLASS}):
         read_as[f"{', '.join(off_road)} as cars here; a run leaves them out, because they are not on the road"] = None
     begin = float(read.time_s.min())
@@ -359,7 +359,11 @@ def _reused(
     return names, actor, len(again)
 
 
-def _classes(actor: Int[ndarray, "n"], kind: Int[ndarray, "n"], n_actors: int) -> tuple[Int[ndarray, "a"], int]:
+def _classes(
+    actor: Int[ndarray, "n"],
+    kind: Int[ndarray, "n"],
+    n_actors: int,
+) -> tuple[Int[ndarray, "a"], int]:
     """The most frequent class of each actor, 0 without any, and the number of actors that have several."""
     said = pd.DataFrame({"actor": actor, "kind": kind})[kind > 0]
     counts = said.groupby(["actor", "kind"]).size().sort_values(ascending=False, kind="stable").reset_index()
@@ -423,7 +427,8 @@ def _rows(
     x, y = numbers(columns.x), numbers(columns.y)
     if columns.corner is not None:
         length, width = columns.corner
-        x, y = x + numbers(length) / 2, y + numbers(width) / 2
+        x = x + numbers(length) / 2
+        y = y + numbers(width) / 2
     if columns.y_down:
         y = -y
         read_as.append("y of the image, which points down, is turned")
@@ -626,8 +631,8 @@ def _good(path: Path, rows: _Rows, repair: bool) -> Bool[ndarray, "n"]:
     if len(bad) and not repair:
         row = int(bad[0])
         raise TrafficError(
-            f"{path}: row {row + 1} ({rows.actors[row]!r}) has a value missing or not finite, and {len(bad)} of "
-            f"{len(good)} rows do. Correct them, or leave them out with --repair."
+            f"{path}: row {row + 1} ({rows.actors[row]!r}) has a value missing or not finite, and "
+            f"{len(bad)} of {len(good)} rows do. Correct them, or leave them out with --repair."
         )
     return good
 
@@ -678,9 +683,9 @@ def _without_copies(
     if len(other) and not repair:
         row = int(other[0])
         raise TrafficError(
-            f"{where}: {names[read.actor[row]]!r} has two positions at the time {read.time_s[row]:.10g} s, and there "
-            f"are {len(other)} such rows. Are these recordings of their own? Then count each in its own command; or "
-            "keep the first of such rows with --repair."
+            f"{where}: {names[read.actor[row]]!r} has two positions at the time "
+            f"{read.time_s[row]:.10g} s, and there are {len(other)} such rows. Are these recordings of their own? "
+            "Then count each in its own command; or keep the first of such rows with --repair."
         )
     repaired["repeated"] += int(again.sum())
     return np.append(True, ~again)

@@ -85,17 +85,23 @@ def trace(
         if positions.is_sumo(path):
             raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}.")
     fixes = positions.read(
-        files, columns, frame_hz, repair, TIME_S.get(time_unit or ""), LENGTH_M.get(length_unit or ""),
+        files,
+        columns,
+        frame_hz,
+        repair,
+        TIME_S.get(time_unit or ""),
+        LENGTH_M.get(length_unit or ""),
         _projection(scenario),
-    )  # fmt: skip
+    )
     if step_s is None:
         fixes, step_s = tracks.on_own_steps(fixes)
     report = write_trace(fixes, tracks.TrackParams(step_s, max_gap_s, max_speed_mps), out)
     if fixes.repaired:
-        said = ", ".join(f"{n:,} {reason}" for reason, n in fixes.repaired.items())
-        notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
+        said = [f"{n:,} {reason}" for reason, n in fixes.repaired.items()]
+        notes.print(f"note: rows left out or sorted: {', '.join(said)}.", soft_wrap=True)
+    size = f"{report['actors']:,} vehicles, {report['steps']:,} steps"
     text = (
-        f"wrote {out}: {report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s, "
+        f"wrote {out}: {size} of {step_s:g} s, "
         f"{100 * report['interpolated_share']:.0f} % of the positions interpolated{_left_out(report, step_s)}; "
         f"{report['tracks']:,} tracks after {report['gaps']:,} gaps and {report['jumps']:,} jumps; "
         f"{'; '.join(found_lines(report))}. A run takes who comes into view for one that enters the road. Run it with: "

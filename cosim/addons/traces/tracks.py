@@ -68,8 +68,12 @@ class Positions:
 
 def check_options(step_s: float | None, max_gap_s: float, max_speed_mps: float, frame_hz: float | None) -> None:
     """Raise ValueError, in one line, if a value of the command line is not a possible one."""
-    given = {"step_s": (step_s, 1e-3), "max_gap_s": (max_gap_s, 0.0), "max_speed_mps": (max_speed_mps, 0.0),
-             "frame_hz": (frame_hz, 1e-3)}  # fmt: skip
+    given = {
+        "step_s": (step_s, 1e-3),
+        "max_gap_s": (max_gap_s, 0.0),
+        "max_speed_mps": (max_speed_mps, 0.0),
+        "frame_hz": (frame_hz, 1e-3),
+    }
     for name, (value, least) in given.items():
         if value is not None and not (least < value < math.inf):
             raise ValueError(f"--{name.replace('_', '-')} {value:g}: a finite number above {least:g} is needed.")
@@ -154,12 +158,12 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     last_fix = np.append(first_fix[1:], n) - 1
     actor = fixes.actor[first_fix[codes]]
     names = _names(fixes, params, first_fix[codes], last_fix[codes])
-    order = sorted(range(len(codes)), key=lambda i: (int(first_step[i]), names[i]))
+    order = np.lexsort((np.array(names), first_step))
     number = np.empty(len(codes), np.int64)
     number[order] = np.arange(len(codes))
     by_step = np.argsort(first[links], kind="stable")
     return PositionTracks(
-        names=[names[i] for i in order],
+        names=[names[i] for i in order.tolist()],
         actor=actor[order],
         first_step=first_step[order],
         last_step=last_step[order],
@@ -173,7 +177,12 @@ def tracks(fixes: Fixes, params: TrackParams) -> PositionTracks:
     )
 
 
-def _names(fixes: Fixes, params: TrackParams, first_fix: Int[ndarray, "s"], last_fix: Int[ndarray, "s"]) -> list[str]:
+def _names(
+    fixes: Fixes,
+    params: TrackParams,
+    first_fix: Int[ndarray, "s"],
+    last_fix: Int[ndarray, "s"],
+) -> list[str]:
     """Name of the vehicle of each track: one that the actor has already, if that one can have driven there.
 
     Parameters
@@ -229,9 +238,13 @@ def _check_links(
 
 
 def _report(
-    fixes: Fixes, params: TrackParams, linked: Bool[ndarray, "n"], moved: tuple[ndarray, ndarray],
-    cuts: tuple[ndarray, ndarray], steps: tuple[ndarray, ndarray, ndarray],
-) -> dict[str, float]:  # fmt: skip
+    fixes: Fixes,
+    params: TrackParams,
+    linked: Bool[ndarray, "n"],
+    moved: tuple[ndarray, ndarray],
+    cuts: tuple[ndarray, ndarray],
+    steps: tuple[ndarray, ndarray, ndarray],
+) -> dict[str, float]:
     """How much of the tracks is interpolated, and the bound on its error.
 
     `moved` is time [s] and way [m] between fixes, `cuts` whether there is a gap or a jump, and `steps` the links with
@@ -251,8 +264,9 @@ def _report(
     bound_m = np.sqrt(np.maximum(squared_m2, 0)) / 2
     ends = np.array([0.5, 0.95])
     bounds = _weighted_quantiles(bound_m, n_between, ends) if n_between.sum() else np.zeros(2)
-    between = took_s[linked[:-1]]
-    speeds = gone_m[linked[:-1]] / between if len(between) else np.zeros(1)
+    are_linked = linked[:-1]
+    between = took_s[are_linked]
+    speeds = gone_m[are_linked] / between if len(between) else np.zeros(1)
     width_m, height_m = np.ptp(fixes.xy_m, axis=0).tolist()
     return {
         "positions": len(fixes.time_s),
@@ -303,7 +317,11 @@ def steps(fixes: Fixes, found: PositionTracks, step_s: float) -> Iterator[Positi
             last_step = number
 
 
-def _interpolated(fixes: Fixes, fix: Int[ndarray, "k"], time_s: Float[ndarray, "k"]) -> Float[ndarray, "k 2"]:
+def _interpolated(
+    fixes: Fixes,
+    fix: Int[ndarray, "k"],
+    time_s: Float[ndarray, "k"],
+) -> Float[ndarray, "k 2"]:
     """Positions at times between a position of an actor and its next one."""
     after = np.minimum(fix + 1, len(fixes.time_s) - 1)
     begin_s, begin_m = fixes.time_s[fix], fixes.xy_m[fix]

@@ -14,9 +14,21 @@ from cosim.traffic.frame import TrafficError
 TIME_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 LENGTH_M = {"m": 1.0, "ft": 0.3048, "km": 1000.0, "cm": 0.01, "mm": 1e-3}
 _TIME_WORDS = {
-    "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "usec": "us", "micros": "us",
-    "microseconds": "us", "ns": "ns", "nanoseconds": "ns", "nanos": "ns", "min": "min", "minutes": "min", "hours": "h",
-}  # fmt: skip
+    "ms": "ms",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "us": "us",
+    "usec": "us",
+    "micros": "us",
+    "microseconds": "us",
+    "ns": "ns",
+    "nanoseconds": "ns",
+    "nanos": "ns",
+    "min": "min",
+    "minutes": "min",
+    "hours": "h",
+}
 _LENGTH_WORDS = {"m": "m", "metres": "m", "meters": "m", "ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
 _NGSIM_FEET = {"Local_X", "Local_Y", "Global_X", "Global_Y"}
 _SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
@@ -46,7 +58,11 @@ def is_number(column: pa.ChunkedArray) -> bool:
     return bool(re.match(r"^[-+.,\d]+([eE][-+]?\d+)?$", first))
 
 
-def time_unit(name: str, times: Float[ndarray, "n"], given_s: float | None) -> tuple[float, str]:
+def time_unit(
+    name: str,
+    times: Float[ndarray, "n"],
+    given_s: float | None,
+) -> tuple[float, str]:
     """Seconds per unit of a column of times, and a word about it if nobody said so."""
     if given_s is not None:
         return given_s, ""
@@ -100,9 +116,13 @@ def speeds(path: Path, table: pa.Table) -> Float[ndarray, "n"] | None:
 
 
 def check_speeds(
-    where: str, actor: ndarray, time_s: Float[ndarray, "n"], xy_m: Float[ndarray, "n 2"], speed: Float[ndarray, "n"],
+    where: str,
+    actor: ndarray,
+    time_s: Float[ndarray, "n"],
+    xy_m: Float[ndarray, "n 2"],
+    speed: Float[ndarray, "n"],
     is_given: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Compare speeds of positions with those that the trace says, in any usual unit.
 
     Parameters
@@ -121,7 +141,8 @@ def check_speeds(
     if is_given or np.count_nonzero(use) < 2:
         return
     gone_m = np.hypot(*np.diff(xy_m, axis=0).T)
-    ratio = float(np.median(gone_m[use] / took_s[use] / said[use]))
+    found = gone_m[use] / took_s[use]
+    ratio = float(np.median(found / said[use]))
     if _ODD[0] < ratio < _ODD[1] or ratio == 0:
         return
     fits = []

@@ -29,7 +29,7 @@ class Ratings:
 
     sums: Int[ndarray, "edges 4"]  # per (rater, subject): number, sum of steps, of ratings, of rating x step
     newest: Int[ndarray, "pairs"]  # step of the newest rating of each subject
-    history: tuple[tuple[int, Int[ndarray, "_"], Int[ndarray, "_"]], ...] = ()  # step, edges, ratings
+    history: tuple[tuple[int, ndarray, ndarray], ...] = ()  # step, edges, ratings
 
     def added(self, sign: int, step: int, edge: ndarray, rating: ndarray) -> None:
         """Add the ratings of a step to the sums, or subtract them, in place.
@@ -45,9 +45,9 @@ class Ratings:
         rating
             Ratings in units of 2^-20.
         """
-        one, steps = np.ones(edge.size, np.int64), np.full(edge.size, step)
-        for column, term in enumerate((one, steps, rating, rating * step)):
-            np.add.at(self.sums[:, column], edge, sign * term)
+        terms = np.ones_like(rating), np.full_like(rating, step), rating, rating * step
+        for column, term in zip(self.sums.T, terms, strict=True):
+            np.add.at(column, edge, sign * term)
 
 
 class Announcement(Stepwise):

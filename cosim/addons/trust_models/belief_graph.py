@@ -39,7 +39,11 @@ class BeliefGraphParams(StepwiseParams):
     """Kinds of evaluations that are made; the same as `trust.evidence`."""
     prior_honest: Annotated[float, Interval(gt=0.5, lt=1)] = 0.8
     """Probability that a role is honest, before any evidence: the assumption of an honest majority."""
-    detections_shapes: tuple[Shape, Shape, Shape] = ((21.0, 5.0, 1.7, 1.7), (2.0, 0.7, 1.1, 0.8), (0.6, 1.1, 0.5, 0.5))
+    detections_shapes: tuple[Shape, Shape, Shape] = (
+        (21.0, 5.0, 1.7, 1.7),
+        (2.0, 0.7, 1.1, 0.8),
+        (0.6, 1.1, 0.5, 0.5),
+    )
     """Dirichlet distributions of the shares of four outcomes of a detection: confirmed, denied while others confirm it,
     denied by all of several, denied by a single one. Where both are honest, only the evaluator is, only the sender."""
     missing_shapes: tuple[Shape, Shape, Shape] = ((30.0, 6.0), (0.3, 1.0), (0.3, 0.8))
@@ -131,7 +135,11 @@ def ratios(
     return np.clip(to_both, -LARGEST, LARGEST), np.clip(to_sender, -LARGEST, LARGEST)
 
 
-def log_ratio(pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[float, float]) -> Float[ndarray, "n"]:
+def log_ratio(
+    pos: Float[ndarray, "n"],
+    neg: Float[ndarray, "n"],
+    shape: tuple[float, float],
+) -> Float[ndarray, "n"]:
     """As `log_likelihood` of two outcomes, less that of uniform shares (Laplace); at most `LARGEST` in size."""
     a, b = shape
     honest = betaln(a + pos, b + neg) - betaln(a, b)
@@ -139,7 +147,9 @@ def log_ratio(pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[f
 
 
 def against_chance(
-    pos: Float[ndarray, "n"], neg: Float[ndarray, "n"], shape: tuple[float, float]
+    pos: Float[ndarray, "n"],
+    neg: Float[ndarray, "n"],
+    shape: tuple[float, float],
 ) -> Float[ndarray, "n"]:
     """As `log_ratio`, of "honest" to "drawn at random", where both outcomes have probability 1/2; at most 0."""
     a, b = shape
@@ -148,7 +158,10 @@ def against_chance(
 
 
 def propagated(
-    ends: Int[ndarray, "e 2"], ratio: Float[ndarray, "e 2"], alone: Float[ndarray, "n"], n_sweeps: int
+    ends: Int[ndarray, "e 2"],
+    ratio: Float[ndarray, "e 2"],
+    alone: Float[ndarray, "n"],
+    n_sweeps: int,
 ) -> Float[ndarray, "n"]:
     """Loopy belief propagation for two states per node.
 
@@ -180,10 +193,12 @@ def propagated(
     for _ in range(n_sweeps):
         odds = alone + exact_sums(to, message, alone.size)
         of_evaluator, of_sender = np.split(odds[to] - message, 2)
-        new = np.concatenate([
-            np.logaddexp(first, of_sender + both) - np.logaddexp(0.0, of_sender),
-            np.logaddexp(0.0, of_evaluator + both) - np.logaddexp(0.0, of_evaluator + first),
-        ])  # fmt: skip
+        new = np.concatenate(
+            [
+                np.logaddexp(first, of_sender + both) - np.logaddexp(0.0, of_sender),
+                np.logaddexp(0.0, of_evaluator + both) - np.logaddexp(0.0, of_evaluator + first),
+            ]
+        )
         message = exact((message + new) / 2)
     return alone + exact_sums(to, message, alone.size)
 
@@ -242,7 +257,11 @@ class BeliefGraph(Stepwise):
         for column, values in zip(columns, _outcomes(rows, kind), strict=False):
             edges[rows.edge, column] += exact_sums(row, values, n_rows)
 
-        def counted(of: Int[ndarray, "k"], which: Bool[ndarray, "k"], n: int = len(vehicles)) -> ndarray:
+        def counted(
+            of: Int[ndarray, "k"],
+            which: Bool[ndarray, "k"],
+            n: int = len(vehicles),
+        ) -> ndarray:
             return np.bincount(of, which, n)
 
         pos, neg = rows.object_pos, rows.object_neg
@@ -305,7 +324,11 @@ class BeliefGraph(Stepwise):
         weight = exact_sums(target, about[:, : _CERTAIN.start].sum(axis=1), n)
         return Reading(trust, weight, None, self.horizon_s(p.decay_per_s))
 
-    def _ratios(self, counts: Float[ndarray, "e 10"], about: Float[ndarray, "e 10"]) -> Float[ndarray, "e 2"]:
+    def _ratios(
+        self,
+        counts: Float[ndarray, "e 10"],
+        about: Float[ndarray, "e 10"],
+    ) -> Float[ndarray, "e 2"]:
         """Ratios of the edges of detections, and of how often the evaluator is certain."""
         p = self.params
         both, first = ratios(counts[:, _DETECTIONS], p.detections_shapes, p.honest_p)

@@ -47,18 +47,25 @@ class BetaByKind(Stepwise):
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """r and s of each pair and kind after a step."""
         new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), n_pairs)
-        kind = rows.index % len(KINDS) if len(self.params.evidence) > 1 else np.zeros(len(rows.index), np.int64)
+        kind = np.zeros(len(rows.index), np.int64)
+        if len(self.params.evidence) > 1:
+            kind = rows.index % len(KINDS)
         for k in range(len(KINDS)):
             some = kind == k
+            about = rows.about[some]
             for column, values in enumerate((rows.object_pos, rows.object_neg)):
-                new[:, 2 * k + column] += exact_sums(rows.about[some], values[some], len(new))
+                gain = exact_sums(about, values[some], len(new))
+                new[:, 2 * k + column] += gain
         return new
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """The smallest expectation of the kinds that are made; weight and uncertainty of all evidence together."""
         per_s = self.params.decay_per_s
         left = state * self.decay(per_s, n_steps)
-        made = [k for k, kind in enumerate(KINDS) if kind in self.params.evidence]
-        trust = np.min([expectation(left[:, 2 * k : 2 * k + 2]) for k in made], axis=0)
+        expected = []
+        for k, kind in enumerate(KINDS):
+            if kind in self.params.evidence:
+                expected.append(expectation(left[:, 2 * k : 2 * k + 2]))
+        trust = np.min(expected, axis=0)
         weight = left.sum(axis=1)
         return Reading(trust, weight, 2 / (weight + 2), self.horizon_s(per_s))

@@ -52,8 +52,10 @@ class BetaCorrelated(MedianGroups):
         """Expectation of the Beta distribution of the effective evidence."""
         _, target, edge = self.log.edges.sorted()
         known = edge < len(state)
-        target, sums = target[known], state[edge[known]] * self.decay(self.params.decay_per_s, n_steps)
-        weight = 1 / (1 + self.params.correlation * np.maximum(sums.sum(axis=1) - 1, 0))
+        target = target[known]
+        sums = state[edge[known]] * self.decay(self.params.decay_per_s, n_steps)
+        more = np.maximum(sums.sum(axis=1) - 1, 0)
+        weight = 1 / (1 + self.params.correlation * more)
         n = len(self.log.pairs)
         evidence = np.column_stack([exact_sums(target, weight * one, n) for one in sums.T])
         return read_beta(evidence, self.horizon_s(self.params.decay_per_s))

@@ -193,4 +193,5 @@ class DawidSkene(Stepwise):
         return Reading(trust_from(counts, p.reliable), weight, None, p.window_s)
 
     def _recent(self, state: Window, now: int) -> Window:
-        return tuple(one for one in state if self.is_younger(now - one[0], self.params.window_s))
+        window_s = self.params.window_s
+        return tuple(one for one in state if self.is_younger(now - one[0], window_s))

@@ -54,4 +54,6 @@ class DawidSkeneOnline(Stepwise):
         """Trust from the decayed counts."""
         p = self.params
         counts = state * self.decay(p.decay_per_s, n_steps)
-        return Reading(trust_from(counts, p.reliable), counts[:, 4:].sum(axis=1), None, self.horizon_s(p.decay_per_s))
+        weight = counts[:, 4:].sum(axis=1)
+        horizon_s = self.horizon_s(p.decay_per_s)
+        return Reading(trust_from(counts, p.reliable), weight, None, horizon_s)

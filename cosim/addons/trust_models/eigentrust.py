@@ -64,7 +64,8 @@ def eigentrust(
     moving = np.ones(n, bool)
     while moving.any():
         given_back = exact_sums(block, t * empty, n_blocks)
-        passed = exact_sums(target, c * t[source], n) + given_back[block] * pretrust
+        received = exact_sums(target, c * t[source], n)
+        passed = received + given_back[block] * pretrust
         new = (1 - restart_p) * passed + restart_p * pretrust
         moving &= (exact_sums(block, np.abs(new - t), n_blocks) >= tolerance)[block]
         t = np.where(moving, new, t)
@@ -93,7 +94,8 @@ class EigenTrust(Stepwise):
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """Sum of pos - neg of each (evaluator, subject) after a step."""
-        new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), len(self.log.edges))
+        left = state * self.decay(self.params.decay_per_s, n_steps)
+        new = with_rows(left, len(self.log.edges))
         new[rows.edge] += rows.pos - rows.neg
         return new
 
@@ -101,10 +103,12 @@ class EigenTrust(Stepwise):
         """Trust n t / (1 + n t), with the trust vector t of every holder's network."""
         holder, _, row = self.log.pairs.sorted()
         block = np.empty(row.size, np.int64)
-        block[row] = np.unique(holder, return_inverse=True)[1]
+        _, block[row] = np.unique(holder, return_inverse=True)
         n = np.bincount(block)[block]
         source, target, edge = self.log.edges.sorted()
         known = edge < state.size
-        source, target, local = source[known], target[known], state[edge[known]]
-        t = eigentrust(source, target, local, 1 / n, block, self.params.restart_p, self.params.tolerance)
+        source, target = source[known], target[known]
+        local = state[edge[known]]
+        p = self.params
+        t = eigentrust(source, target, local, 1 / n, block, p.restart_p, p.tolerance)
         return Reading(n * t / (1 + n * t), n * t)

@@ -78,12 +78,12 @@ class EvaluatorTrust(Stepwise):
         claim = exact(self.params.claim_weight * weight)[rows.sender]
         others = (rows.per_object(signed) + claim)[rows.object] - signed
         agrees = (others > 0) == (pos > neg)
-        judged = others != 0
+        judged = np.where(others != 0, pos + neg, 0.0)
         added = [
             rows.per_observer(vote * rows.pos, len(new)),
             rows.per_observer(vote * rows.neg, len(new)),
-            exact_sums(rows.by, np.where(judged & agrees, pos + neg, 0.0), len(new)),
-            exact_sums(rows.by, np.where(judged & ~agrees, pos + neg, 0.0), len(new)),
+            exact_sums(rows.by, np.where(agrees, judged, 0.0), len(new)),
+            exact_sums(rows.by, np.where(agrees, 0.0, judged), len(new)),
         ]
         return new + np.stack(added, axis=1)
 
@@ -104,6 +104,7 @@ class EvaluatorTrust(Stepwise):
         per_s = self.params.decay_per_s
         now_left = state * self.decay(per_s, n_steps)
         agreed, differed = now_left[:, 2], now_left[:, 3]
-        trust = expectation(now_left[:, :2]) * (agreed + 1) / (agreed + differed + 1)
-        weight = now_left[:, :2].sum(axis=1)
+        as_sender = now_left[:, :2]
+        trust = expectation(as_sender) * (agreed + 1) / (agreed + differed + 1)
+        weight = as_sender.sum(axis=1)
         return Reading(trust, weight, 2 / (weight + 2), self.horizon_s(per_s))

@@ -32,7 +32,7 @@ class Strikes:
 
     evidence: Float[ndarray, "p 2"]
     banned: Bool[ndarray, "p"]
-    history: tuple[tuple[int, Int[ndarray, "_"], Int[ndarray, "_"]], ...] = ()  # step, pairs, their strikes
+    history: tuple[tuple[int, ndarray, ndarray], ...] = ()  # step, pairs, their strikes
 
 
 class MajorityBan(Stepwise):
@@ -63,7 +63,8 @@ class MajorityBan(Stepwise):
         banned = with_rows(state.banned, len(evidence))
         strikes = self._strikes(rows, banned)
         at = np.flatnonzero(strikes)
-        kept = tuple(h for h in state.history if self.is_younger(step - h[0], self.params.strike_window_s))
+        window_s = self.params.strike_window_s
+        kept = [one for one in state.history if self.is_younger(step - one[0], window_s)]
         history = (*kept, (step, at, strikes[at]))
         total = np.zeros(len(banned), np.int64)
         for _, row, n in history:

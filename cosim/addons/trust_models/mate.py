@@ -42,7 +42,9 @@ def gained(v: ndarray, c: ndarray, n: ndarray | float) -> tuple[ndarray, ndarray
     -------
     n / (n + 1) c v for alpha, and n^2 / (n + 1) c (1 - v) for beta.
     """
-    return n / (n + 1) * c * v, n * n / (n + 1) * c * (1 - v)
+    alpha = n / (n + 1) * c * v
+    beta = n * n / (n + 1) * c * (1 - v)
+    return alpha, beta
 
 
 def mean(alpha_beta: Float[ndarray, "... 2"]) -> Float[ndarray, "..."]:
@@ -91,10 +93,9 @@ class Mate(Stepwise):
         trusted = mean(new + PRIOR)
         by, of = rows.by, rows.sender
         matched, missed = rows.object_pos > 0, rows.object_neg > 0
-        source = np.column_stack([
-            trusted[of] + rows.per_object(trusted[by] * matched), rows.per_object(trusted[by] * missed)
-        ])  # fmt: skip
-        objects = PRIOR + 0.5 * source
+        confirmed = trusted[of] + rows.per_object(trusted[by] * matched)
+        denied = rows.per_object(trusted[by] * missed)
+        objects = PRIOR + 0.5 * np.column_stack([confirmed, denied])
         v, c = mean(objects), confidence(objects)
         evaluated = np.bincount(rows.object[matched | missed], minlength=of.size) > 0
         self._measured(new, of[evaluated], v[evaluated], c[evaluated])
@@ -121,5 +122,6 @@ class Mate(Stepwise):
     def _measured(self, state: ndarray, vehicle: ndarray, v: ndarray, c: ndarray) -> None:
         """Add measurements of vehicles."""
         p = self.params
-        for column, gain in enumerate(gained(v, c, np.where(v < p.negative_below, p.negative_gain, 1.0))):
+        n = np.where(v < p.negative_below, p.negative_gain, 1.0)
+        for column, gain in enumerate(gained(v, c, n)):
             state[:, column] += exact_sums(vehicle, gain, len(state))

@@ -48,7 +48,9 @@ def medians(
     value = value[np.lexsort((value, group))]
     size = np.bincount(group, minlength=n_groups)
     first = np.cumsum(size) - size
-    return (value[first + (size - 1) // 2] + value[first + size // 2]) / 2
+    lower = value[first + (size - 1) // 2]
+    upper = value[first + size // 2]
+    return (lower + upper) / 2
 
 
 class MedianGroups(Stepwise):
@@ -82,7 +84,8 @@ class MedianGroups(Stepwise):
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """pos and neg of each edge after a step."""
-        new = with_rows(state * self.decay(self.params.decay_per_s, n_steps), len(self.log.edges))
+        left = state * self.decay(self.params.decay_per_s, n_steps)
+        new = with_rows(left, len(self.log.edges))
         new[rows.edge, 0] += rows.pos
         new[rows.edge, 1] += rows.neg
         return new
@@ -91,11 +94,13 @@ class MedianGroups(Stepwise):
         """Median over the evaluators, less what the subject itself deviates as an evaluator."""
         source, target, edge = self.log.edges.sorted()
         known = edge < len(state)
-        source, target, sums = source[known], target[known], state[edge[known]]
+        source, target = source[known], target[known]
+        sums = state[edge[known]]
         total = sums.sum(axis=1)
         said = total > 0
         source, target, total = source[said], target[said], total[said]
-        share, n = sums[said, 0] / total, len(self.log.pairs)
+        share = sums[said, 0] / total
+        n = len(self.log.pairs)
         sender = medians(target, share, n, self.params.prior_share)
         deviation = medians(source, np.abs(share - sender[target]), n, 0.0)
         weight = np.bincount(target, minlength=n).astype(float)

@@ -34,7 +34,12 @@ class MinhasParams(StepwiseParams):
             )
 
 
-def experienced(trust: Float[ndarray, "n"], good: Bool[ndarray, "n"], kept: Float[ndarray, "n"], p: MinhasParams):
+def experienced(
+    trust: Float[ndarray, "n"],
+    good: Bool[ndarray, "n"],
+    kept: Float[ndarray, "n"],
+    p: MinhasParams,
+) -> Float[ndarray, "n"]:
     """Trust after an experience.
 
     Parameters
@@ -92,8 +97,9 @@ class Minhas(Stepwise):
         in_favour = rows.per_observer(vote * (rows.pos > rows.neg), len(new))
         against = rows.per_observer(vote * (rows.neg > rows.pos), len(new))
         total = in_favour + against
-        agreed = (total > 0) & (np.maximum(in_favour, against) >= (1 - self.params.consensus_margin) * total)
-        at = np.flatnonzero(agreed)
+        least = (1 - self.params.consensus_margin) * total
+        agreed = np.maximum(in_favour, against) >= least
+        at = np.flatnonzero(agreed & (total > 0))
         last = new[at, 1]
         since = np.where(last > 0, step + 1 - last, 0)
         kept = self.params.forgetting_per_s ** (since * self.dt_s)
@@ -104,4 +110,5 @@ class Minhas(Stepwise):
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:
         """Trust as the last experience left it, mapped to [0, 1]."""
-        return Reading((1 + state[:, 0]) / 2, np.abs(state[:, 0]))
+        trust = state[:, 0]
+        return Reading((1 + trust) / 2, np.abs(trust))

@@ -63,7 +63,12 @@ class MisoV(Stepwise):
         false = (n_against >= self.params.n_sources) & (n_against > n_for)
         good = (confirms & true[rows.object]) | (denies & false[rows.object])
         bad = (confirms & false[rows.object]) | (denies & true[rows.object])
-        counts = [(rows.sender, true), (rows.sender, false), (rows.by, good), (rows.by, bad)]
+        counts = [
+            (rows.sender, true),
+            (rows.sender, false),
+            (rows.by, good),
+            (rows.by, bad),
+        ]
         columns = [exact_sums(who, which.astype(float), len(new)) for who, which in counts]
         return new + np.stack(columns, axis=1)
 
@@ -71,6 +76,7 @@ class MisoV(Stepwise):
         """Product of the reputations as sender and as evaluator."""
         per_s = self.params.decay_per_s
         left = state * self.decay(per_s, n_steps)
+        as_sender = left[:, :2]
         good, bad = left[:, 2:].T
-        trust = expectation(left[:, :2]) * (good + 1) / (good + bad + 1)
-        return Reading(trust, left[:, :2].sum(axis=1), None, self.horizon_s(per_s))
+        trust = expectation(as_sender) * (good + 1) / (good + bad + 1)
+        return Reading(trust, as_sender.sum(axis=1), None, self.horizon_s(per_s))

@@ -16,7 +16,11 @@ def projected(opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "..."]:
     return opinion[..., 0] + BASE_RATE * opinion[..., 2]
 
 
-def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float = 1.3) -> Float[ndarray, "... 3"]:
+def of_check(
+    ok: Float[ndarray, "..."],
+    bad: Float[ndarray, "..."],
+    base: float = 1.3,
+) -> Float[ndarray, "... 3"]:
     """Opinion on an object from the checks that it passed and failed.
 
     Parameters
@@ -36,7 +40,10 @@ def of_check(ok: Float[ndarray, "..."], bad: Float[ndarray, "..."], base: float 
     return np.stack([ok * share, bad * share, 1 - gained], axis=-1)
 
 
-def discounted(probability: Float[ndarray, "..."], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+def discounted(
+    probability: Float[ndarray, "..."],
+    opinion: Float[ndarray, "... 3"],
+) -> Float[ndarray, "... 3"]:
     """A source's opinion, discounted by trust in the source.
 
     Parameters
@@ -54,7 +61,10 @@ def discounted(probability: Float[ndarray, "..."], opinion: Float[ndarray, "... 
     return np.concatenate([known, 1 - known.sum(axis=-1, keepdims=True)], axis=-1)
 
 
-def discounted_opposite(source: Float[ndarray, "... 3"], opinion: Float[ndarray, "... 3"]) -> Float[ndarray, "... 3"]:
+def discounted_opposite(
+    source: Float[ndarray, "... 3"],
+    opinion: Float[ndarray, "... 3"],
+) -> Float[ndarray, "... 3"]:
     """A source's opinion, discounted so that distrust in the source favours the opposite belief.
 
     Parameters

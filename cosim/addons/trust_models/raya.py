@@ -26,7 +26,10 @@ class RayaParams(BetaParams):
 _LARGE = 700.0
 """The exponential of more is no double."""
 
-Combine = Callable[[ObjectReports, Float[ndarray, "r"]], Float[ndarray, "g"]]
+Combine = Callable[
+    [ObjectReports, Float[ndarray, "r"]],
+    Float[ndarray, "g"],
+]
 """Arguments: reports, and the weight F in (0, 1) of each. Result: score in [0, 1] of each group."""
 
 
@@ -41,7 +44,8 @@ def _two_sums(reports: ObjectReports, values: ndarray) -> tuple[ndarray, ndarray
 
 def _share(a: ndarray, b: ndarray) -> ndarray:
     """a / (a + b); 0 where there is nothing."""
-    return np.divide(a, a + b, out=np.zeros_like(a), where=a + b > 0)
+    total = a + b
+    return np.divide(a, total, out=np.zeros_like(a), where=total > 0)
 
 
 def majority(reports: ObjectReports, weight: ndarray) -> ndarray:

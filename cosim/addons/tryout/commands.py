@@ -66,11 +66,15 @@ def try_(
 
     report = try_class(name, kind, sets or [])
     if as_json:
-        print_json({
-            "class": report.name, "kind": report.kind, "holds": report.holds,
-            "laws": [{"law": one.law, "holds": not one.broken, "found": one.broken} for one in report.findings],
-            "cost_us_per_vehicle": None if report.cost_us != report.cost_us else report.cost_us,
-        })  # fmt: skip
+        print_json(
+            {
+                "class": report.name,
+                "kind": report.kind,
+                "holds": report.holds,
+                "laws": [{"law": one.law, "holds": not one.broken, "found": one.broken} for one in report.findings],
+                "cost_us_per_vehicle": None if report.cost_us != report.cost_us else report.cost_us,
+            }
+        )
     else:
         for one in report.findings:
             screen.print(f"{'broken' if one.broken else 'ok':<8}{one.law}", soft_wrap=True)

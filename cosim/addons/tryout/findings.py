@@ -37,7 +37,10 @@ class Report:
         return not any(one.broken for one in self.findings)
 
 
-def smallest(items: list[_Item], is_broken: Callable[[list[_Item]], bool]) -> list[_Item]:
+def smallest(
+    items: list[_Item],
+    is_broken: Callable[[list[_Item]], bool],
+) -> list[_Item]:
     """A small subset of items that still breaks a law. Chunks are removed, halves first, while the law stays broken."""
     size, n_tries = len(items) // 2, 0
     while size and n_tries < MOST_TRIES:

@@ -42,10 +42,11 @@ PARTS = {
     ),
     "detector": PartKind(play.detections, "Draw with draws.uniforms(seen) or draws.normals(seen).", sees_truth=True),
     "driver": PartKind(
-        play.commands, "Draw with draws(seed, world.step, world.name_key).",
+        play.commands,
+        "Draw with draws(seed, world.step, world.name_key).",
         change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
     ),
-}  # fmt: skip
+}
 """Kinds of classes that are part of a step, by name."""
 
 
@@ -66,12 +67,14 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     ValueError
         The class or its parameters cannot be loaded. The message is one line.
     """
-    part, section = PARTS[kind], "attacks.0" if kind == "attack" else KINDS[kind].section
+    part = PARTS[kind]
+    section = "attacks.0" if kind == "attack" else KINDS[kind].section
     interferes = kind == "attack" and hasattr(resolve(KINDS[kind], name).of, "sending")
     sets = [*BASE]
     if interferes:  # a unit disk has no interference that an attack on the channel could cause
         sets.append("radio.model=csma")
-    sets += [f"{section}.{KINDS[kind].key}={name}", *(f"{section}.{one}" for one in own)]
+    sets.append(f"{section}.{KINDS[kind].key}={name}")
+    sets += [f"{section}.{one}" for one in own]
     config = load(None, sets)
     config = replace(config, trust_variant=(), attacks=config.attacks[:1])
     check_choices(config)
@@ -92,7 +95,8 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
         found.append(Finding("each vehicle changes for itself", seen.alone))
     if kind == "attack":
         found.append(Finding("it does not read the truth", seen.truth))
-    found += [_told(law, stage, part, told, **how) for law, how in _comparisons(kind).items()]
+    for law, how in _comparisons(kind).items():
+        found.append(_told(law, stage, part, told, **how))
     if kind == "trust":
         more, seen = trust_laws.findings(stage)
         found += more
@@ -106,35 +110,46 @@ def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
     part = PARTS[kind]
     found: dict[str, dict[str, Any]] = {
         "the same seed gives the same result": {
-            "says": "played a second time with the same seed", "cure": part.draws,
+            "says": "played a second time with the same seed",
+            "cure": part.draws,
         },
         "numbers and order of the actors change nothing": {
-            "scene": TinyScene.renumbered, "says": "with other actor numbers, and the rows in their order",
+            "scene": TinyScene.renumbered,
+            "says": "with other actor numbers, and the rows in their order",
             "cure": "Read names (name_key) and positions, never row numbers or actor numbers as such.",
         },
         "a vehicle that one does not meet changes nothing": {
-            "scene": TinyScene.with_stranger, "says": "with one more vehicle, 9 km away",
+            "scene": TinyScene.with_stranger,
+            "says": "with one more vehicle, 9 km away",
             "cure": f"Each vehicle's result follows from what it perceives and receives. {part.draws}",
         },
         "it goes on from a checkpoint": {
-            "interrupted_at": INTERRUPTED_AT, "says": f"interrupted and resumed before step {INTERRUPTED_AT}",
+            "interrupted_at": INTERRUPTED_AT,
+            "says": f"interrupted and resumed before step {INTERRUPTED_AT}",
             "cure": "Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
         },
-    }  # fmt: skip
+    }
     if not part.sees_truth and kind != "attack":
         found["it does not read the truth"] = {
-            "scene": TinyScene.with_other_attackers, "change": play.with_harmless_attackers,
+            "scene": TinyScene.with_other_attackers,
+            "change": play.with_harmless_attackers,
             "says": "with other vehicles as attackers, all of which do nothing",
             "cure": "Who attacks is known to the tables alone: leave `attack` and all that is called truth unread.",
-        }  # fmt: skip
+        }
     return found
 
 
 def _told(
-    law: str, stage: Stage, part: PartKind, told: list[Table], says: str, cure: str,
-    scene: Callable[[TinyScene], TinyScene] = lambda one: one, change: Callable[[Parts], Parts] | None = None,
+    law: str,
+    stage: Stage,
+    part: PartKind,
+    told: list[Table],
+    says: str,
+    cure: str,
+    scene: Callable[[TinyScene], TinyScene] = lambda one: one,
+    change: Callable[[Parts], Parts] | None = None,
     interrupted_at: int | None = None,
-) -> Finding:  # fmt: skip
+) -> Finding:
     """Check a law by comparison with a second play that differs in one respect."""
     if change is not None:
         stage, told = replace(stage, change=lambda parts: change(part.change(parts))), []
@@ -158,9 +173,11 @@ def _told(
 
         n = len(smallest(actors, is_broken))
     except Exception as error:  # whatever a user's class does
-        return Finding(law, f"{says[0].upper()}{says[1:]}: {in_one_line(error)} {cure}")
+        begin = says[0].upper() + says[1:]
+        return Finding(law, f"{begin}: {in_one_line(error)} {cure}")
     step, found = examples[n]
-    return Finding(law, f"Step {step}, {n} actor{'s' if n > 1 else ''}: {found} {says}. {cure}")
+    actors_left = f"{n} actors" if n > 1 else "1 actor"
+    return Finding(law, f"Step {step}, {actors_left}: {found} {says}. {cure}")
 
 
 def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
@@ -172,7 +189,8 @@ def first_difference(one: list[Table], other: list[Table]) -> tuple[int, str]:
             if who not in a or who not in b:
                 return number, f"{who} is {'there as it is, but not' if who in a else 'not there as it is, but it is'}"
             for name, x in a[who].items():
-                if not np.isclose(x, y := b[who][name], rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
+                y = b[who][name]
+                if not np.isclose(x, y, rtol=TOLERANCE, atol=TOLERANCE, equal_nan=True):
                     return number, f"{name} of {who} is {x:.6g}, but {y:.6g}"
     return 0, ""
 

@@ -25,14 +25,29 @@ Table = dict[str, Row]
 """Results of one step: numbers by column. The key of a row is the beginning of a sentence that names its owner."""
 
 BASE = (
-    "preset=paper", "fleet.equipped_kinds=['car', 'van']", "fleet.penetration_p=0.35", "radio.range_m=300",
-    "radio.unit_disk.loss_p=0.05", "server.cellular.uplink_loss_p=0.01", "server.cellular.downlink_loss_p=0.01",
-    "trust.freshness_s=50", "trust.unseen=skip", "trust.unevaluated=default",
-    f"traffic.step_s={STEP_S}", f"traffic.duration_s={N_STEPS * STEP_S}", "sensing_interval_s=1.0", "seed=4",
-    "lidar.n_azimuths=180", "radio.model=unit_disk", "server.cellular.delay_min_s=0.001",
-    "server.cellular.delay_mean_s=0.002", "server.backhaul_s=0.005", "trust.server_period_s=1.0", "compute.threads=1",
+    "preset=paper",
+    "fleet.equipped_kinds=['car', 'van']",
+    "fleet.penetration_p=0.35",
+    "radio.range_m=300",
+    "radio.unit_disk.loss_p=0.05",
+    "server.cellular.uplink_loss_p=0.01",
+    "server.cellular.downlink_loss_p=0.01",
+    "trust.freshness_s=50",
+    "trust.unseen=skip",
+    "trust.unevaluated=default",
+    f"traffic.step_s={STEP_S}",
+    f"traffic.duration_s={N_STEPS * STEP_S}",
+    "sensing_interval_s=1.0",
+    "seed=4",
+    "lidar.n_azimuths=180",
+    "radio.model=unit_disk",
+    "server.cellular.delay_min_s=0.001",
+    "server.cellular.delay_mean_s=0.002",
+    "server.backhaul_s=0.005",
+    "trust.server_period_s=1.0",
+    "compute.threads=1",
     "attacks.0.start_s=2",
-)  # fmt: skip
+)
 """Config keys of all plays of the scene: the paper's sensing, so that results follow by hand, and losses."""
 
 
@@ -48,9 +63,12 @@ class Stage:
         return self.change(Parts.of(self.config, scene.city))
 
     def play(
-        self, scene: TinyScene, tell: Callable[[StepResult, TinyScene], Table], n_steps: int = N_STEPS,
+        self,
+        scene: TinyScene,
+        tell: Callable[[StepResult, TinyScene], Table],
+        n_steps: int = N_STEPS,
         interrupted_at: int | None = None,
-    ) -> list[Table]:  # fmt: skip
+    ) -> list[Table]:
         """Simulate the scene, and return the results of every step.
 
         Parameters
@@ -145,9 +163,14 @@ BOX = ("class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad
 
 def _box(listed: Detections, i: int) -> Row:
     boxes = listed.boxes
-    box = (*boxes.xyz_m[i], *boxes.lwh_m[i], boxes.yaw_rad[i])
-    values = map(float, (listed.label[i], *box, listed.score[i]))
-    return dict(zip(BOX, values, strict=True))
+    values = (
+        listed.label[i],
+        *boxes.xyz_m[i],
+        *boxes.lwh_m[i],
+        boxes.yaw_rad[i],
+        listed.score[i],
+    )
+    return dict(zip(BOX, map(float, values), strict=True))
 
 
 def detections(happened: StepResult, scene: TinyScene) -> Table:
@@ -157,7 +180,8 @@ def detections(happened: StepResult, scene: TinyScene) -> Table:
     found, names = happened.sensed.positioned.observed.detections, scene.names
     told = {}
     for i in np.flatnonzero(found.origin == SENSED).tolist():
-        told[f"detection {found.detection_index[i]} of {names[found.observer[i]]}"] = _box(found, i)
+        name = names[found.observer[i]]
+        told[f"detection {found.detection_index[i]} of {name}"] = _box(found, i)
     return told
 
 
@@ -168,10 +192,10 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
         return {}
     listed, sent = sensed.listed.objects, sensed.evaluated.sent
     senders, actor = sensed.senders, sensed.vehicles.actor
-    of = {
-        int(p): f"{names[actor[v]]}{f' as identity {i}' if i else ''}"
-        for p, v, i in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True)
-    }
+    of = {}
+    for pseudonym, vehicle, identity in zip(senders.pseudonym, senders.vehicle, senders.identity, strict=True):
+        name = names[actor[vehicle]]
+        of[int(pseudonym)] = f"{name} as identity {identity}" if identity else name
     told = {}
     for i in range(len(listed)):
         which = f"detection {listed.detection_index[i]} of {names[listed.observer[i]]}"
@@ -180,8 +204,10 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
             "speed_mps": float(listed.speed_mps[i]),
             "transmitted": float(listed.transmitted[i]),
         }
-    for i, evaluator in enumerate(np.repeat(sent.evaluator, np.diff(sent.ptr)).tolist()):
-        which = f"detection {sent.detection_index[i]} of {of[int(sent.observer[i])]}"
+    evaluators = np.repeat(sent.evaluator, np.diff(sent.ptr))
+    for i, evaluator in enumerate(evaluators.tolist()):
+        sender = of[int(sent.observer[i])]
+        which = f"detection {sent.detection_index[i]} of {sender}"
         told[f"evaluation by {of[evaluator]} of {which}"] = {
             "evaluation": float(sent.evaluation[i]),
             "visibility": float(sent.visibility[i]),
@@ -220,7 +246,7 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
     actor, used = sensed.vehicles.actor, sensed.looked_up.messages
     found = sensed.looked_up.lookups[0]
     sender = actor[sensed.senders.vehicle[used.message]]
-    rows = zip(actor[used.receiver].tolist(), sender.tolist(), found.trust.tolist(), strict=True)
+    rows = zip(actor[used.receiver], sender, found.trust.tolist(), strict=True)
     told = {}
     for holder, subject, value in rows:
         told[f"{names[holder]} about {names[subject]}"] = {"trust": value}
@@ -230,10 +256,11 @@ def trust(happened: StepResult, scene: TinyScene) -> Table:
 def renewals(happened: StepResult, scene: TinyScene) -> Table:
     """Pseudonyms that ended."""
     ended = happened.ended_pseudonyms
-    return {
-        f"the pseudonym of {scene.names[v]} that ends": {"first step": float(begin), "last step": float(end)}
-        for v, begin, end in zip(ended.vehicle, ended.from_step, ended.to_step, strict=True)
-    }
+    told = {}
+    for v, begin, end in zip(ended.vehicle, ended.from_step, ended.to_step, strict=True):
+        steps = {"first step": float(begin), "last step": float(end)}
+        told[f"the pseudonym of {scene.names[v]} that ends"] = steps
+    return told
 
 
 def commands(happened: StepResult, scene: TinyScene) -> Table:

@@ -2,7 +2,7 @@
 
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
@@ -23,26 +23,31 @@ def difference(one: Any, other: Any, where: str = "") -> str:
         return f"{where} is {type(one).__name__} and {type(other).__name__}".strip()
     if isinstance(one, ndarray | np.generic | float | int):
         return _of_arrays(np.asarray(one), np.asarray(other), where)
+    ours: Iterable[Any]
+    theirs: Iterable[Any]
     if is_dataclass(one):
-        names = [f.name for f in fields(one)]
-        pairs = [(f"{where}.{name}", getattr(one, name), getattr(other, name)) for name in names]
+        names = [f"{where}.{field.name}".lstrip(".") for field in fields(one)]
+        ours, theirs = _values(one), _values(other)
     elif isinstance(one, dict):
         if one.keys() != other.keys():
             return f"{where} has the keys {sorted(map(str, one))} and {sorted(map(str, other))}"
-        pairs = [(f"{where}[{key!r}]", one[key], other[key]) for key in one]
+        names = [f"{where}[{key!r}]" for key in one]
+        ours, theirs = one.values(), [other[key] for key in one]
     elif isinstance(one, list | tuple):
         if len(one) != len(other):
             return f"{where} has {len(one)} and {len(other)} items"
-        items = zip(one, other, strict=True)
-        pairs = [(f"{where}[{i}]", a, b) for i, (a, b) in enumerate(items)]
+        names = [f"{where}[{i}]" for i in range(len(one))]
+        ours, theirs = one, other
     elif hasattr(one, "__dict__"):
         return difference(vars(one), vars(other), where)
     else:
         return "" if one == other else f"{where} is {one!r} and {other!r}"
-    for name, a, b in pairs:
-        if found := difference(a, b, name.lstrip(".")):
-            return found
-    return ""
+    return next(filter(None, map(difference, ours, theirs, names)), "")
+
+
+def _values(one: Any) -> list[Any]:
+    """The values of a dataclass, field by field."""
+    return [getattr(one, field.name) for field in fields(one)]
 
 
 def _of_arrays(one: ndarray, other: ndarray, where: str) -> str:
@@ -103,7 +108,8 @@ class Probe:
                 self.seen.twice = f"{name}() is asked the same twice in a row, and the answers differ: {found}."
             if not self.seen.alone and kept and isinstance(kept[0], PseudonymAges):
                 self.seen.alone = _by_others(method, kept[0], first)
-            if not (self.seen.truth or self.seen.twice) and kept and isinstance(kept[-1], AttackContext):
+            is_of_attack = bool(kept) and isinstance(kept[-1], AttackContext)
+            if is_of_attack and not self.seen.truth and not self.seen.twice:
                 self.seen.truth = _truth_read(name, method, kept, first)
             return answer
 
@@ -113,10 +119,11 @@ class Probe:
 def _by_others(method: Callable[..., Any], ages: PseudonymAges, answer: ndarray) -> str:
     """Call a policy for each vehicle alone, and describe the first different result."""
     for row in range(len(ages.age_s)):
-        alone = PseudonymAges(*(getattr(ages, f.name)[[row]] for f in fields(ages)))
+        alone = PseudonymAges(*(column[[row]] for column in _values(ages)))
         if method(alone)[0] != answer[row]:
             return (
-                f"A vehicle of {ages.age_s[row]:g} s, {ages.distance_m[row]:.3g} m and {ages.n_messages[row]} messages "
+                f"A vehicle of {ages.age_s[row]:g} s, "
+                f"{ages.distance_m[row]:.3g} m and {ages.n_messages[row]} messages "
                 f"{'changes' if answer[row] else 'does not change'} among {len(answer)} vehicles, and "
                 f"{'does not' if answer[row] else 'does'} when it is alone. Decide for each row by that row."
             )

@@ -74,8 +74,14 @@ def _tiny_runs() -> Iterator[tuple[Path, Path, Path]]:
     with tempfile.TemporaryDirectory(prefix="cosim-try-") as folder:
         root = Path(folder)
         _write_trace(root / "trace.fcd.xml")
-        sets = [*BASE, f"traffic.trace={root / 'trace.fcd.xml'}", "traffic.warmup_s=0", "record.level=full",
-                "fleet.penetration_p=0.8", "attacks.0.share_p=0.3"]  # fmt: skip
+        sets = [
+            *BASE,
+            f"traffic.trace={root / 'trace.fcd.xml'}",
+            "traffic.warmup_s=0",
+            "record.level=full",
+            "fleet.penetration_p=0.8",
+            "attacks.0.share_p=0.3",
+        ]
         for name, block_steps in (("one", N_STEPS), ("other", 3)):
             run(load(None, [*sets, f"record.block_steps={block_steps}"]), root / name, lambda *_: None)
         yield root / "one", root / "other", root
@@ -88,11 +94,13 @@ def _write_trace(path: Path) -> None:
     for number in range(N_STEPS + 1):
         lines.append(f'<timestep time="{number * STEP_S:.2f}">')
         boxes = scene.world(number).boxes
-        for actor, centre, size, yaw_rad in zip(scene.actors, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, strict=True):
+        rows = zip(scene.actors, boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, strict=True)
+        for actor, centre, size, yaw_rad in rows:
             is_person = actor.shape == Shape.PEDESTRIAN
             element = "person" if is_person else "vehicle"
             ahead_m = 0.0 if is_person else size[0] / 2
-            x_m, y_m = centre[:2] + ahead_m * np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+            ahead = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+            x_m, y_m = centre[:2] + ahead_m * ahead
             lines.append(
                 f'<{element} id="{actor.name}" x="{x_m:.2f}" y="{y_m:.2f}" '
                 f'angle="{(90 - np.degrees(yaw_rad)) % 360:.2f}" type="{types[actor.shape]}" '

@@ -16,9 +16,18 @@ N_STEPS = 16
 """Number of steps. Vehicles sense in every second step."""
 _HALF_M = 60.0
 """Length of each street from the crossing to its end [m]."""
-_LANES = {"east": (0.0, -2.0), "west": (np.pi, 2.0), "north": (np.pi / 2, 2.0), "south": (-np.pi / 2, -2.0)}
+_LANES = {
+    "east": (0.0, -2.0),
+    "west": (np.pi, 2.0),
+    "north": (np.pi / 2, 2.0),
+    "south": (-np.pi / 2, -2.0),
+}
 """Heading of each lane, and its distance from the middle of the street (y, or x for north and south) [m]."""
-_LWH_M = {Shape.CAR: (4.5, 1.8, 1.5), Shape.TRUCK: (8.0, 2.5, 3.2), Shape.PEDESTRIAN: (0.5, 0.6, 1.75)}
+_LWH_M = {
+    Shape.CAR: (4.5, 1.8, 1.5),
+    Shape.TRUCK: (8.0, 2.5, 3.2),
+    Shape.PEDESTRIAN: (0.5, 0.6, 1.75),
+}
 FAR_AWAY_M = 9_000.0
 """Distance of a vehicle that no other vehicle can perceive or receive."""
 
@@ -44,21 +53,30 @@ class Actor:
         yaw, across = _LANES[self.lane]
         along = self.begin_m + self.speed_mps * time_s
         c, s = np.cos(yaw), np.sin(yaw)
-        ahead, right = np.array([c, s]), np.array([s, -c])
+        ahead = np.array([c, s])
+        right = np.array([s, -c])
         centre = np.array([0.0, across] if abs(c) > 0.5 else [across, 0.0])
         return centre + along * ahead + self.side_m * right
 
 
 ACTORS = (
-    Actor("A", "east", -45.0, 8.0), Actor("B", "east", -30.0, 8.0, attack=1), Actor("C", "east", -12.0, 8.0),
-    Actor("D", "west", -45.0, 7.0), Actor("E", "west", -25.0, 7.0), Actor("F", "west", -9.0, 7.0, attack=1),
-    Actor("G", "north", -17.0, 0.0), Actor("H", "north", -10.0, 0.0), Actor("I", "south", -18.0, 0.0),
-    Actor("J", "south", -10.0, 0.0, attack=1), Actor("truck", "south", -28.0, 0.0, Shape.TRUCK, False, side_m=2.6),
+    Actor("A", "east", -45.0, 8.0),
+    Actor("B", "east", -30.0, 8.0, attack=1),
+    Actor("C", "east", -12.0, 8.0),
+    Actor("D", "west", -45.0, 7.0),
+    Actor("E", "west", -25.0, 7.0),
+    Actor("F", "west", -9.0, 7.0, attack=1),
+    Actor("G", "north", -17.0, 0.0),
+    Actor("H", "north", -10.0, 0.0),
+    Actor("I", "south", -18.0, 0.0),
+    Actor("J", "south", -10.0, 0.0, attack=1),
+    Actor("truck", "south", -28.0, 0.0, Shape.TRUCK, False, side_m=2.6),
     Actor("parked", "east", 15.0, 0.0, equipped=False, side_m=2.4),
-    Actor("bus", "north", 20.0, 3.0, Shape.TRUCK, False), Actor("moped", "west", 6.0, 7.0, equipped=False),
+    Actor("bus", "north", 20.0, 3.0, Shape.TRUCK, False),
+    Actor("moped", "west", 6.0, 7.0, equipped=False),
     Actor("walker", "east", -6.0, 1.2, Shape.PEDESTRIAN, False, side_m=4.0),
     Actor("child", "north", 6.0, 1.0, Shape.PEDESTRIAN, False, side_m=4.0),
-)  # fmt: skip
+)
 """Ten equipped vehicles, three of which attack, and six other actors."""
 STRANGER = Actor("stranger", "east", FAR_AWAY_M, 5.0)
 
@@ -81,7 +99,10 @@ class TinyScene:
 
     def with_other_attackers(self) -> "TinyScene":
         """The scene with other vehicles as attackers."""
-        swapped = [replace(actor, attack=int(actor.equipped and not actor.attack)) for actor in self.actors]
+        swapped = []
+        for actor in self.actors:
+            attacks = actor.equipped and not actor.attack
+            swapped.append(replace(actor, attack=int(attacks)))
         return TinyScene(tuple(swapped))
 
     @property
@@ -93,7 +114,8 @@ class TinyScene:
     def city(self) -> Scene:
         """A building at each corner of the crossing."""
         square = np.array([[8.0, 8.0], [_HALF_M, 8.0], [_HALF_M, _HALF_M], [8.0, _HALF_M]])
-        rings = [[square * [x, y]] for x in (-1, 1) for y in (-1, 1)]
+        corners = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+        rings = [[square * corner] for corner in corners]
         return Scene.from_footprints(rings, [0.0] * 4, [12.0] * 4)
 
     def world(self, step: int) -> World:
@@ -117,16 +139,18 @@ class TinyScene:
     def _paths(self, xy_m: Float[ndarray, "n 2"]) -> LanePaths:
         """The lane paths of equipped vehicles: their own lanes, straight ahead."""
         rows = [row for row, actor in enumerate(self.actors) if actor.equipped]
-        lines = []
+        lines, front_m = [], []
         for row in rows:
-            yaw = _LANES[self.actors[row].lane][0]
+            actor = self.actors[row]
+            yaw = _LANES[actor.lane][0]
             heading = [np.cos(yaw), np.sin(yaw)]
             lines.append(xy_m[row] + np.outer([-20.0, 80.0, 180.0], heading))
+            front_m.append(20.0 + _LWH_M[actor.shape][0] / 2)
         n = len(rows)
         return LanePaths(
             row=np.array(rows, np.int64),
             line=np.arange(n),
-            front_m=np.array([20.0 + _LWH_M[self.actors[row].shape][0] / 2 for row in rows]),
+            front_m=np.array(front_m),
             ptr=3 * np.arange(n + 1),
             xy_m=np.concatenate([*lines, np.zeros((0, 2))]),
             along_m=np.tile([0.0, 100.0, 200.0], n),

@@ -81,9 +81,14 @@ def findings(stage: Stage) -> tuple[list[Finding], Observations]:
 
 
 def _played(
-    model: Any, steps: list[Transmitted], receptions: list[Reception], late_steps: int, reverse: bool, ask: bool,
+    model: Any,
+    steps: list[Transmitted],
+    receptions: list[Reception],
+    late_steps: int,
+    reverse: bool,
+    ask: bool,
     seen: Observations,
-) -> TrustScores:  # fmt: skip
+) -> TrustScores:
     """Scores of a model at the end of the scene.
 
     Parameters
@@ -137,8 +142,9 @@ def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> s
             few = smallest(receptions, lambda some: bool(differs(some)))
             n, which = len(few), "; ".join(map(str, few[:3]))
             more = f" and {n - 3} more" if n > 3 else ""
+            messages = "1 message" if n == 1 else f"{n} messages"
             return (
-                f"{n} message{'s' if n > 1 else ''} ({which}{more}) {what}: {differs(few)}. "
+                f"{messages} ({which}{more}) {what}: {differs(few)}. "
                 "Sum evidence by the step in `received.messages.step`, and decide nothing by who comes first."
             )
     return ""
@@ -161,12 +167,15 @@ def _asking(plain: TrustScores, asked: TrustScores) -> str:
 def _first_row(one: TrustScores, other: TrustScores) -> str:
     """The first different trust value, in words; empty if the scores are the same."""
     if difference((one.holder, one.subject), (other.holder, other.subject)):
-        pairs = [set(zip(s.holder.tolist(), s.subject.tolist(), strict=True)) for s in (one, other)]
-        holder, subject = min(pairs[0] ^ pairs[1])
+        holder, subject = min(_pairs(one) ^ _pairs(other))
         return f"{holder} has no trust value of {subject} any more, or has one that it had not"
     differ = np.flatnonzero(~np.isclose(one.trust, other.trust, rtol=TOLERANCE, atol=TOLERANCE))
     if not differ.size:
         return ""
     row = differ[0]
-    expected, found = one.trust[row], other.trust[row]
-    return f"trust of {one.holder[row]} in {one.subject[row]} is {found:.6g} instead of {expected:.6g}"
+    trust = f"trust of {one.holder[row]} in {one.subject[row]}"
+    return f"{trust} is {other.trust[row]:.6g} instead of {one.trust[row]:.6g}"
+
+
+def _pairs(scores: TrustScores) -> set[tuple[int, int]]:
+    return set(zip(scores.holder.tolist(), scores.subject.tolist(), strict=True))

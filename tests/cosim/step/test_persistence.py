@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.base import rng
+from cosim.base.hash_rng import persistent_normals
 from cosim.config.config import load
 from sensors.lidar import beams
 
@@ -12,7 +13,7 @@ PREFIX = rng.key(7, rng.Stream.DETECTION_MEMORY)
 
 
 def lasting(time_s, who=WHO, whom=WHOM):
-    return rng.persistent(PREFIX, who, whom, time_s=time_s, memory_s=3.0, n=2)
+    return persistent_normals(rng.keys(PREFIX, who, whom), 2, time_s, 3.0)
 
 
 def test_normals_are_normal():

@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from cosim.base.codes import PARKED
+from cosim.base.plane import ahead_of
 from results.measure import measure as run_metrics
 from results.run import Run
 
@@ -76,13 +77,11 @@ def _relative_speeds_mps(run: Run, radius_m: float, every_s: float, at_least_mps
     found = []
     for _, now in poses.groupby("step"):
         xy_m = now[["x_m", "y_m"]].to_numpy(float)
-        yaw_rad = now.yaw_rad.to_numpy(float)
         speed_mps = now.speed_mps.to_numpy(float)
         if len(xy_m) < 2:
             continue
         i, j = cKDTree(xy_m).query_pairs(radius_m, output_type="ndarray").T
-        heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
-        velocity_mps = speed_mps[:, None] * heading
+        velocity_mps = speed_mps[:, None] * ahead_of(now.yaw_rad.to_numpy(float))
         from_i_to_j_m = xy_m[j] - xy_m[i]
         distance_m = np.maximum(np.hypot(*from_i_to_j_m.T), 1e-6)
         relative_mps = velocity_mps[j] - velocity_mps[i]

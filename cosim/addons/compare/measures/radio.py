@@ -19,9 +19,17 @@ from sensors.line_of_sight import WallIndex, los_between_actors
 from sensors.scene import Shape
 
 MEASURES = (
-    "frame_airtime", "path_loss", "blockage", "delivery_of_one_sender", "reception_around_corner",
-    "range_around_corner", "range_in_the_open", "object_bytes", "sight_past_buildings", "sight_past_everything",
-)  # fmt: skip
+    "frame_airtime",
+    "path_loss",
+    "blockage",
+    "delivery_of_one_sender",
+    "reception_around_corner",
+    "range_around_corner",
+    "range_in_the_open",
+    "object_bytes",
+    "sight_past_buildings",
+    "sight_past_everything",
+)
 
 _OBJECT = ("objectId", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "classification")
 """Optional members of every perceived object here: identity, heading, size and class."""
@@ -106,16 +114,21 @@ def range_around_corner(
         mean = share.reshape(len(away), 4, corners).mean(axis=2)
         below = np.argmax(mean < least, axis=0)  # the first distance that is too far
         replicate = np.arange(4)
-        near, far = mean[below - 1, replicate], mean[below, replicate]
+        near = mean[below - 1, replicate]
+        far = mean[below, replicate]
         too_far_m = 5.0 * (least - far) / (near - far)
         rows.append(receiver_m[below] - too_far_m)
     return np.array(rows).T
 
 
 def _behind_corners(
-    away_m: Float[ndarray, "k"], corners: int, payload_bytes: int, receiver: ReceiverParams, power_dbm: float,
+    away_m: Float[ndarray, "k"],
+    corners: int,
+    payload_bytes: int,
+    receiver: ReceiverParams,
+    power_dbm: float,
     loss_db: float,
-) -> Float[ndarray, "k c"]:  # fmt: skip
+) -> Float[ndarray, "k c"]:
     """Share of frames received without line of sight at each distance, behind each of many corners."""
     draws = np.random.default_rng(1).normal(size=(len(away_m), corners))
     is_nlos = np.ones(len(away_m), bool)
@@ -176,7 +189,8 @@ def sight_past_buildings(run: Run, *, distance_m: Sequence[float]) -> Float[ndar
     by = table.groupby(["distance_bin_m", "los_state"], observed=True).n_in_range.sum().unstack(fill_value=0)
     share = by.get("los", 0) / by.sum(axis=1)
     edge = share.index.to_numpy(float)
-    return np.interp(distance_m, edge + np.diff(edge).min() / 2, share.to_numpy(float))
+    middle_m = edge + np.diff(edge).min() / 2
+    return np.interp(distance_m, middle_m, share.to_numpy(float))
 
 
 def sight_past_everything(
@@ -213,7 +227,8 @@ def sight_past_everything(
         a, b = row[pairs].T
         between = boxes.xyz_m[a, :2] - boxes.xyz_m[b, :2]
         away = np.hypot(*between.T)
-        seen = los_between_actors(walls, boxes, world.shape, a, b, 0.1, bodies=False, city=city if trees else None)
+        woods = city if trees else None
+        seen = los_between_actors(walls, boxes, world.shape, a, b, 0.1, bodies=False, city=woods)
         if bodies:
             half_height = 0.5 * boxes.lwh_m * [0, 0, 1]
             top = boxes.xyz_m + [0, 0, 0.1] + half_height

@@ -20,8 +20,8 @@ from cosim.addons.perception.kitti_frames import (
     Poses,
     ahead_of,
     at_steps,
-    near,
     observed_by_vehicle,
+    others_near,
     posed,
     sampled_steps,
 )
@@ -174,9 +174,7 @@ def _evaluated(run: Run, setting: Setting, fusion: Fusion) -> CooperationScores:
 def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[ndarray, ndarray]:
     """Frames and actor numbers of the partners in them."""
     equipped = actors[actors.equipped].reset_index(drop=True)
-    i, j = near(poses, equipped, setting.partners_m)
-    other = poses.observer.to_numpy()[i] != equipped.actor.to_numpy()[j]
-    i, j = i[other], j[other]
+    i, j = others_near(poses, equipped, setting.partners_m)
     own_m = poses[["x_m", "y_m"]].to_numpy()[i]
     away_m = own_m - equipped[["x_m", "y_m"]].to_numpy()[j]
     order = np.lexsort([np.hypot(*away_m.T), i])
@@ -191,10 +189,9 @@ def _truth(
     run: Run, steps: ndarray, poses: Poses, actors: pd.DataFrame, beside: pd.DataFrame, setting: Setting
 ) -> Truth:
     """Actors of the class around each ego that somebody has a return of."""
-    i, j = near(poses, actors, setting.range_m)
+    i, j = others_near(poses, actors, setting.range_m)
     actor = actors.actor.to_numpy()
-    is_other = poses.observer.to_numpy()[i] != actor[j]
-    keep = is_other & (actors.label.to_numpy()[j] == setting.label)
+    keep = actors.label.to_numpy()[j] == setting.label
     i, j = i[keep], j[keep]
     seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
     seen = seen[seen.n_points > 0]

@@ -14,7 +14,9 @@ ERROR = ("error_east_m", "error_north_m", "error_rad")
 
 
 def with_errors(
-    beside: pd.DataFrame, std: tuple[float, float], seeded: tuple[float, float, float] | None
+    beside: pd.DataFrame,
+    std: tuple[float, float],
+    seeded: tuple[float, float, float] | None,
 ) -> pd.DataFrame:
     """Partners with the errors of their poses.
 
@@ -53,7 +55,8 @@ def with_larger_errors(boxes: pd.DataFrame, run: Run, factor: float) -> pd.DataF
     true = table[[*BOX]].reindex(rows).to_numpy(float)
     box = boxes[[*BOX]].to_numpy(float)
     error = box - true
-    error[:, 6] = np.mod(error[:, 6] + np.pi, 2 * np.pi) - np.pi
+    turn = error[:, 6] + np.pi
+    error[:, 6] = np.mod(turn, 2 * np.pi) - np.pi
     larger = true + factor * error
     larger[:, 3:6] = np.maximum(larger[:, 3:6], 0.1)
     real = np.isfinite(true[:, :1])
@@ -117,5 +120,7 @@ def _moved(
     """Boxes carried along with poses from `start` to `end`."""
     turn = end[:, 2] - start[:, 2]
     from_start_m = box[:, :2] - start[:, :2]
-    xy_m = end[:, :2] + turned_by(turn, from_start_m)
-    return np.column_stack([xy_m, box[:, 2:6], box[:, 6] + turn])
+    moved = box.copy()
+    moved[:, :2] = end[:, :2] + turned_by(turn, from_start_m)
+    moved[:, 6] += turn
+    return moved

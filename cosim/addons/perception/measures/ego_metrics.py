@@ -77,11 +77,13 @@ def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 
     Attackers that never met an ego never attacked, and are left out. If no vehicle attacks in the run, they count.
     """
-    cars = run.vehicles[run.vehicles.equipped & ~run.vehicles.vehicle.isin(egos_of(run))]
+    is_ego = run.vehicles.vehicle.isin(egos_of(run))
+    cars = run.vehicles[run.vehicles.equipped & ~is_ego]
     if cars.attack_start_step.notna().any():
         cars = cars[(cars.role == "honest") | cars.attack_start_step.notna()]
     last = trust.values(run).drop_duplicates("subject", keep="last").set_index("vehicle").trust
-    value = cars.vehicle.map(last).astype(float).fillna(float(run.config["trust"]["default_trust"]))
+    default = float(run.config["trust"]["default_trust"])
+    value = cars.vehicle.map(last).astype(float).fillna(default)
     for role, some in value.groupby(cars.role.astype(str)):
         yield "paper.final_trust.mean", str(role), float(some.mean()), "1", "mean trust at the end"
 

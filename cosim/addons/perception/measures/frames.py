@@ -3,7 +3,6 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
@@ -14,6 +13,7 @@ from cosim.addons.perception.kitti_frames import (
     actors_ahead,
     at_steps,
     boxes_ahead,
+    pair_keys,
     pairs_ahead,
     posed,
     sampled_steps,
@@ -49,12 +49,9 @@ class Frames:
         truth, poses = actors_ahead(run, steps, range_m)
         _, actors = posed(run, steps)
         i, j, _, _ = pairs_ahead(poses, actors, range_m)
-        key = pd.MultiIndex.from_arrays(
-            [poses.step.to_numpy()[i], poses.observer.to_numpy()[i], actors.actor.to_numpy()[j]]
-        )
         seen = run.table("observability", ["step", "observer", "actor", "n_points"], at_steps(steps))
         points = seen.set_index(["step", "observer", "actor"]).n_points
-        own = points.reindex(key).fillna(0).to_numpy(np.int64)
+        own = points.reindex(pair_keys(poses, actors, i, j)).fillna(0).to_numpy(np.int64)
         return Frames(truth, boxes_ahead(run, which, steps, poses, range_m), poses, own)
 
     @property
@@ -82,8 +79,12 @@ class Frames:
         truth = replace(self.truth, occlusion=level, height_px=tall)
         found = replace(self.found, height_px=np.full(len(self.found), 1e3))
         near_m, far_m = edges_m
-        truth, found = (rows(one, (range_of(one) >= near_m) & (range_of(one) < far_m)) for one in (truth, found))
-        return average_precision(truth, found, label, kind, overlap)["hard"].ap40
+
+        def within(objects: LabelledObjects) -> LabelledObjects:
+            away_m = range_of(objects)
+            return rows(objects, (away_m >= near_m) & (away_m < far_m))
+
+        return average_precision(within(truth), within(found), label, kind, overlap)["hard"].ap40
 
 
 def range_of(objects: LabelledObjects) -> Float[ndarray, "n"]:

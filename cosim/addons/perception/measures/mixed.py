@@ -8,6 +8,8 @@ from numpy import ndarray
 
 from cosim.addons.perception.matched import Found, Truth
 
+Rows = tuple[ndarray, ...]
+
 
 def frames_at_speed(
     slow_mps: Float[ndarray, "a"], fast_mps: Float[ndarray, "b"], mean_mps: float
@@ -29,10 +31,11 @@ def frames_at_speed(
         raise ValueError(f"No shares of worlds with {low:.1f} and {high:.1f} m/s give {mean_mps:.1f} m/s.")
     fast = (mean_mps - low) / (high - low)
     n = min(len(slow_mps) / (1 - fast), len(fast_mps) / fast)
-    return _even(len(slow_mps), n * (1 - fast)), _even(len(fast_mps), n * fast)
+    slow = _even(len(slow_mps), n * (1 - fast))
+    return slow, _even(len(fast_mps), n * fast)
 
 
-def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Truth, Found]:
+def in_turn(parts: Sequence[tuple[ndarray, Truth, Found]]) -> tuple[Truth, Found]:
     """Objects and boxes of some frames of several data sets, whose frames take turns in proportion to their numbers.
 
     Parameters
@@ -45,8 +48,8 @@ def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Tr
     number = np.empty(len(place), np.int64)
     number[np.argsort(place, kind="stable")] = np.arange(len(place))
     borders = np.cumsum([0, *counts])
-    truths: list[tuple[ndarray, ...]] = []
-    founds: list[tuple[ndarray, ...]] = []
+    truths = []
+    founds = []
     for (frames, truth, found), first in zip(parts, borders.tolist(), strict=False):
         truths.append(_numbered(truth, frames, number[first:]))
         founds.append(_numbered(found, frames, number[first:]))
@@ -55,7 +58,7 @@ def in_turn(parts: Sequence[tuple[Int[ndarray, "c"], Truth, Found]]) -> tuple[Tr
     return (frame, box), (of, boxes, score)
 
 
-def _numbered(rows: tuple[ndarray, ...], frames: Int[ndarray, "c"], number: Int[ndarray, "m"]) -> tuple[ndarray, ...]:
+def _numbered(rows: Rows, frames: Int[ndarray, "c"], number: Int[ndarray, "m"]) -> Rows:
     """The rows of some frames, with new numbers of frames."""
     frame, *columns = rows
     at = np.searchsorted(frames, frame)

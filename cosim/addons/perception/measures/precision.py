@@ -33,8 +33,10 @@ def precision_by_level(
     frames = Frames.of(run)
     level = np.where(frames.n_points >= least_points, frames.truth.occlusion, _IGNORED)
     truth = replace(frames.truth, occlusion=level) if least_points else frames.truth
-    answer = average_precision(truth, frames.found, label, min_overlap=(LOOSE if loose else STRICT)[label])
-    return [answer[level].ap11 if points == 11 else answer[level].ap40 for level in levels]
+    overlaps = LOOSE if loose else STRICT
+    answer = average_precision(truth, frames.found, label, min_overlap=overlaps[label])
+    precisions = [answer[level] for level in levels]
+    return [one.ap11 if points == 11 else one.ap40 for one in precisions]
 
 
 def precision_by_range(
@@ -53,9 +55,14 @@ def precision_by_range(
 
 
 def recall_by_overlap(
-    run: Run, *, overlaps: Sequence[float], labels: Sequence[str], range_m: float, min_score: float = 0.0,
+    run: Run,
+    *,
+    overlaps: Sequence[float],
+    labels: Sequence[str],
+    range_m: float,
+    min_score: float = 0.0,
     min_points: int = 1,
-) -> list[float]:  # fmt: skip
+) -> list[float]:
     """Share of the objects within range with some returns that some box overlaps by more than each of some shares."""
     frames = Frames.of(run)
     truth, boxes = frames.truth, frames.found
@@ -70,7 +77,8 @@ def share_with_returns(run: Run, *, labels: Sequence[str], min_points: int, rang
     frames = Frames.of(run)
     seen = (frames.n_points > 0) & (frames.range_m <= range_m)
     has_many = frames.n_points >= min_points
-    return [float(has_many[seen & (frames.truth.label == one)].mean()) for one in labels]
+    label = frames.truth.label
+    return [float(has_many[seen & (label == one)].mean()) for one in labels]
 
 
 def boxes_per_frame(run: Run, *, min_score: float, range_m: float) -> list[float]:
@@ -95,16 +103,22 @@ def _pairs(truth: LabelledObjects, found: LabelledObjects, reach_m: float) -> tu
     """Rows of both in the same frame whose centres are within reach, and their distance."""
     if not len(truth) or not len(found):
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-    a, b = (np.column_stack([one.frame * _APART, one.box[:, :2]]) for one in (truth, found))
-    near = cKDTree(a).sparse_distance_matrix(cKDTree(b), reach_m, output_type="ndarray")
+    a, b = (_centres(of) for of in (truth, found))
+    near = a.sparse_distance_matrix(b, reach_m, output_type="ndarray")
     return near["i"], near["j"], near["v"]
+
+
+def _centres(of: LabelledObjects) -> cKDTree:
+    """Centres of boxes on the plane, those of frames apart."""
+    return cKDTree(np.column_stack([of.frame * _APART, of.box[:, :2]]))
 
 
 def _best_overlap(truth: LabelledObjects, found: LabelledObjects) -> Float[ndarray, "t"]:
     """Largest overlap of each object with a box."""
     i, j, _ = _pairs(truth, found, 15.0)
+    share = iou_3d(truth.box[i], found.box[j])
     best = np.zeros(len(truth))
-    np.maximum.at(best, i, iou_3d(truth.box[i], found.box[j]))
+    np.maximum.at(best, i, share)
     return best
 
 

@@ -25,10 +25,13 @@ class MyDriver:
         if beliefs is None:  # between two sweeps
             return state, SpeedCommands.none()
         ego, yaw_rad = beliefs.ego, world.boxes.yaw_rad[beliefs.ego]  # one row for each belief; ego: row of the world
-        way_m = beliefs.boxes.xyz_m[:, :2] - world.boxes.xyz_m[ego, :2]
-        ahead_m = way_m[:, 0] * np.cos(yaw_rad) + way_m[:, 1] * np.sin(yaw_rad)
-        left_m = way_m[:, 1] * np.cos(yaw_rad) - way_m[:, 0] * np.sin(yaw_rad)
-        close = (ahead_m > 0) & (ahead_m < self.params.ahead_m) & (np.abs(left_m) < 1.5)
+        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+        way_m = beliefs.boxes.xyz_m - world.boxes.xyz_m[ego]
+        east_m, north_m, _ = way_m.T
+        ahead_m = east_m * cos + north_m * sin
+        left_m = north_m * cos - east_m * sin
+        in_way = (ahead_m > 0) & (np.abs(left_m) < 1.5)
+        close = in_way & (ahead_m < self.params.ahead_m)
         chosen = close & ~beliefs.ego_detected & (beliefs.score >= self.params.min_score)
         rows = np.unique(ego[chosen])  # each vehicle once
         return state, SpeedCommands(world.actor[rows], world.speed_mps[rows] / 2)

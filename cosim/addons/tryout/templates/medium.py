@@ -26,14 +26,21 @@ class MyMedium:
 
     def broadcast(self, state, kind, step, begin_s, stations, messages):
         xy_m = stations.xyz_m[:, :2]
-        apart_m = np.linalg.norm(xy_m[:, None] - xy_m[messages.station][None], axis=2)  # station by message
+        sender_m = xy_m[messages.station]
+        apart_m = np.linalg.norm(xy_m[:, None] - sender_m, axis=2)  # station by message
         near = (apart_m <= self.params.reach_m) & (messages.length_bytes > 0)  # a message of length 0 is not sent
         near[messages.station, np.arange(len(messages))] = False  # no station receives its own message
         receiver, message = np.nonzero(near)
         # Random numbers depend on the seed, the step and names only, so that other stations do not change them.
-        names = stations.key[receiver], messages.keys(stations)[message], np.full(len(message), kind)
+        sent = messages.keys(stations)[message]
+        names = stations.key[receiver], sent, np.full(len(message), kind)
         lost = draws(self.seed, step, names)[:, 0] < self.params.loss_p
         return state, MessageRound.of(
-            stations, messages, receiver[~lost], message[~lost], latency_s=0.001,
-            lost_receiver=receiver[lost], lost_message=message[lost],
-        )  # fmt: skip
+            stations,
+            messages,
+            receiver[~lost],
+            message[~lost],
+            latency_s=0.001,
+            lost_receiver=receiver[lost],
+            lost_message=message[lost],
+        )

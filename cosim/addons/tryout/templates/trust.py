@@ -29,15 +29,18 @@ class MyTrust:
     def add_evaluations(self, received):  # evaluations that holders received
         rows = received.rows()  # one row for each evaluation of rows.observer that rows.holder received
         at = self.pairs.rows(rows.holder, rows.observer)
-        self.sums, self.newest = (with_rows(column, len(self.pairs)) for column in (self.sums, self.newest))
-        np.add.at(self.sums, at, np.column_stack([rows.pos, rows.neg, np.ones(len(at))]))
+        self.sums = with_rows(self.sums, len(self.pairs))
+        self.newest = with_rows(self.newest, len(self.pairs))
+        evidence = np.column_stack([rows.pos, rows.neg, np.ones(len(at))])
+        np.add.at(self.sums, at, evidence)
         np.maximum.at(self.newest, at, received.messages.step)
 
     def scores(self, now_step=None):  # trust in [0, 1] for every (holder, subject) with evidence
         now_step = self.step if now_step is None else now_step
         holder, subject, at = self.pairs.sorted()
         positive, negative, n = self.sums[at].T
-        trust = (positive + self.params.prior) / (positive + negative + 2 * self.params.prior)
+        prior = self.params.prior
+        trust = (positive + prior) / (positive + negative + 2 * prior)
         return TrustScores.of(
             now_step, holder, subject, trust, newest_step=self.newest[at], n_evaluations=n.astype(int)
         )
