@@ -237,7 +237,7 @@ def _dictionary(run: Run) -> str:
         for label, column in table.columns.items():
             is_key = "key" if column.key else ""
             may_be = " May be null." if column.null else ""
-            meaning = f"{_code(column.meaning)}{may_be}{_code(_virtual(column))}"
+            meaning = _code(column.meaning + may_be + _virtual(column))
             rows += (
                 f"<tr><td><code>{escape(label)}</code></td><td>{column.type}</td>"
                 f"<td>{escape(column.unit)}</td><td>{is_key}</td><td>{meaning}</td></tr>"
