@@ -140,7 +140,8 @@ def _received(broadcast: Broadcast, asked: Int[ndarray, "m"], exchange: Exchange
     receiver, is_there = rows_of(held.receiver[rows], exchange.vehicles.actor)
     before = held.message[rows[is_there]] << _ROW_BITS | receiver[is_there]
     now = broadcast.links.vehicles
-    return np.append(before, len(inbox.step) + now.message << _ROW_BITS | now.receiver)
+    number = len(inbox.step) + now.message
+    return np.append(before, number << _ROW_BITS | now.receiver)
 
 
 def _first_receptions(

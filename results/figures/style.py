@@ -266,10 +266,11 @@ def names(runs: Sequence[Run]) -> list[str]:
         short.append(run.name + variant)
     paths = [run.path.resolve() for run in runs]
     among = os.path.commonpath(paths)
-    return [
-        name if short.count(name) == 1 else f"{os.path.relpath(path.parent, among)}/{name}"
-        for path, name in zip(paths, short, strict=True)
-    ]
+    told_apart = []
+    for path, name in zip(paths, short, strict=True):
+        above = os.path.relpath(path.parent, among)
+        told_apart.append(name if short.count(name) == 1 else f"{above}/{name}")
+    return told_apart
 
 
 def _plain(value: Any) -> str:
