@@ -21,10 +21,12 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     stated share of false positives among honest values. In the third it is `trust.suspect_below`. Bars are 95 %
     intervals, clustered by vehicle (pseudonym).
     """
-    variants, labels = style.variants_of(runs)
+    variants, titles = style.variants_of(runs)
+    labels = [style.fitted(title, 18) for title in titles]
+    lines = 1 + max(label.count("\n") for label in labels)
     for run in variants:
         run.require("trust_lookups")
-    figure, panels = style.sheet(3, 0.7 + 0.15 * len(variants))
+    figure, panels = style.sheet(3, 0.7 + 0.15 * lines * len(variants))
     few = f"{100 * false_positives:g} %"
 
     def draw_row(i: int, run: Run) -> None:
@@ -33,14 +35,15 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
             _dot(axes, estimate, i)
 
     for i in style.draw_each(variants, draw_row):
-        labels[i] += " (no values)"
+        for axes in panels:
+            axes.text(0.0, i, "no values", va="center", color="#666666")
     panels[0].axvline(0.5, color="#777777", linewidth=0.9, linestyle=(0, (2, 2)))
-    titles = (
+    panel_titles = (
         ("Honest above attacker, at lookup", "Area under the ROC curve"),
         (f"Below the threshold at {few} false positives", "Share of evaluated lookups of attackers"),
         ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
     )
-    for axes, (title, x) in zip(panels, titles, strict=True):
+    for axes, (title, x) in zip(panels, panel_titles, strict=True):
         style.panel(axes, title, x, "")
         axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.4, -0.6)
