@@ -173,8 +173,11 @@ def _as_json(content: object) -> object:
 def print_json(content: object) -> None:
     """JSON on standard output. What a terminal would obey is escaped, so that a program reads it unchanged."""
     text = json.dumps(_as_json(content), indent=1, ensure_ascii=False, default=str, allow_nan=False)
-    harmless = (c if _is_harmless(c) else json.dumps(c)[1:-1] for c in text)
-    sys.stdout.write("".join(harmless) + "\n")
+    for character in set(text):
+        if not _is_harmless(character):
+            escape = json.dumps(character)[1:-1]
+            text = text.replace(character, escape)
+    sys.stdout.write(text + "\n")
 
 
 def print_run_summary(folder: Path, as_json: bool) -> "Run":
@@ -237,14 +240,16 @@ def print_table(table: "Table") -> None:
 def print_facts(facts: Mapping[str, Sequence[str]]) -> None:
     """Sentences under names. On a terminal their further lines are indented as the first."""
     for name, sentences in facts.items():
-        for i, sentence in enumerate(sentences):
+        label = name
+        for sentence in sentences:
             lines = [sentence]
             if screen.is_terminal:
                 lines = textwrap.wrap(
                     sentence, max(screen.width - 12, 30), break_long_words=False, break_on_hyphens=False
                 )
-            for k, line in enumerate(lines):
-                screen.print(Text.assemble((f"{name if i == k == 0 else '':<12}", "bold"), line), soft_wrap=True)
+            for line in lines:
+                screen.print(Text.assemble((f"{label:<12}", "bold"), line), soft_wrap=True)
+                label = ""
 
 
 def _pictures(rows: GetRows, given: str) -> str:
@@ -277,10 +282,11 @@ def _traffic(get: Get, city: str) -> list[str]:
     actors, roles = get("traffic.actors.mean"), get("traffic.equipped.n")
     n_actors = plain(round(actors.get("all", 0.0)))
     line = f"{n_actors} actors on the road of {city} for {plain(get('traffic.duration_s')[''])} s"
-    if not sum(roles.values()):
+    n_equipped = sum(roles.values())
+    if not n_equipped:
         return [f"{line}; no vehicle with LiDAR and radio"]
-    by_role = ", ".join(f"{plain(n)} {role}" for role, n in roles.items())
-    return [f"{line}; {plain(sum(roles.values()))} vehicles with LiDAR and radio ({by_role})"]
+    by_role = [f"{plain(n)} {role}" for role, n in roles.items()]
+    return [f"{line}; {plain(n_equipped)} vehicles with LiDAR and radio ({', '.join(by_role)})"]
 
 
 def _encounters(get: Get, rows: GetRows) -> list[str]:
@@ -300,9 +306,8 @@ def _trust(rows: GetRows) -> list[str]:
     final = rows("trust.final.median")
     if not final:
         return ["no trust was computed"]
-    return [
-        ", ".join(f"{row['value']:.2f} {role}" for role, row in final.items()) + ": medians of last values, from 0 to 1"
-    ]
+    medians = [f"{row['value']:.2f} {role}" for role, row in final.items()]
+    return [f"{', '.join(medians)}: medians of last values, from 0 to 1"]
 
 
 def _told_apart(rows: GetRows) -> list[str]:
@@ -401,8 +406,9 @@ def rows_of(table: Any) -> list[dict[str, object]]:
 
 def plain(value: float) -> str:
     """A number as text: three significant digits, all digits of a whole number, no exponent."""
-    whole = abs(value) >= 100 or (value == int(value) and abs(value) >= 2)
-    return f"{value:,.0f}" if whole else f"{value:.3g}"
+    size = abs(value)
+    is_whole = size >= 100 or (size >= 2 and value == int(value))
+    return f"{value:,.0f}" if is_whole else f"{value:.3g}"
 
 
 def _interval(row: Mapping[str, Any]) -> str:
@@ -438,8 +444,9 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     wide = [max(map(len, column), default=0) for column in zip(*values, strict=True)]
 
     def line_of(name: str, value: str, unit: str, interval: str, note: str) -> str:
-        said = f"{value.rjust(wide[1])} {unit.ljust(wide[2])}"
-        return "  ".join([name.ljust(wide[0]), said, interval.ljust(wide[3]), note]).rstrip()
+        measured = f"{value.rjust(wide[1])} {unit.ljust(wide[2])}"
+        columns = [name.ljust(wide[0]), measured, interval.ljust(wide[3]), note]
+        return "  ".join(columns).rstrip()
 
     lines = [line_of(*row) if len(row) > 1 else row[0] for row in cells]
     head = [Text(title, style="bold"), Text("value, unit, 95 % interval", style="dim"), Text()]

@@ -220,15 +220,16 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 
     found = {str(folder): verified(folder) for named in runs for folder in runs_of(named)}
     if as_json:
-        print_json({name: about | {"problems": problems} for name, (about, problems) in found.items()})
-    for name, (about, problems) in found.items() if not as_json else ():
-        for problem in problems:
-            screen.print(f"{name}: {problem}", soft_wrap=True)
-        what = "damaged" if problems else "whole"
-        screen.print(
-            f"{name}: {what}; {about['status']}, {about['steps']} steps, {about['tables']} tables, "
-            f"{about['parts']} parts, {about['rows']:,} rows, {about['bytes']:,} bytes", soft_wrap=True,
-        )  # fmt: skip
+        as_plain = {name: about | {"problems": problems} for name, (about, problems) in found.items()}
+        print_json(as_plain)
+    else:
+        for name, (about, problems) in found.items():
+            for problem in problems:
+                screen.print(f"{name}: {problem}", soft_wrap=True)
+            what = "damaged" if problems else "whole"
+            tables = f"{about['status']}, {about['steps']} steps, {about['tables']} tables"
+            size = f"{about['parts']} parts, {about['rows']:,} rows, {about['bytes']:,} bytes"
+            screen.print(f"{name}: {what}; {tables}, {size}", soft_wrap=True)
     if any(problems for _, problems in found.values()):
         raise typer.Exit(1)
 
@@ -334,10 +335,11 @@ def measure(
     own, shipped = split_metrics(metrics or [])
     measured = own_metrics(own, sets or [])
     chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-    named = tuple(dict.fromkeys(name.partition(":")[0].partition(".")[0] for name in shipped))
+    topics = [re.split("[:.]", name)[0] for name in shipped]
     given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    options |= {"topics": named} if shipped else {}
+    if shipped:
+        options["topics"] = tuple(dict.fromkeys(topics))
     tables, every = [], []
     for run in chosen:
         parts = [] if measured is None else [measured(run)]
@@ -423,7 +425,8 @@ def plot(
                     f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
                 )
         chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
-        path = style.save(FIGURES[what](chosen, **given), out or runs[0] / f"{what}.png")
+        drawn = FIGURES[what](chosen, **given)
+        path = style.save(drawn, out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", soft_wrap=True)
     _say_damage(chosen)
 
@@ -479,7 +482,8 @@ def main(command: Callable[..., int | None] = app) -> None:
     except RecursionError:
         status = _say("the input is nested too deeply.", 2)
     except CodeNotTrusted as error:
-        status = _say(f"{error} To go on: {shlex.join(['cosim', *sys.argv[1:], '--trust-code'])}", 2)
+        again = shlex.join(["cosim", *sys.argv[1:], "--trust-code"])
+        status = _say(f"{error} To go on: {again}", 2)
     except ValueError as error:
         status = _say(str(error), 2, error)
     except OSError as error:
@@ -506,7 +510,9 @@ def _in_plain_words(error: typer.TyperException) -> str:
 def _of_home(word: str) -> str:
     """A word of the command line, with the user's folder in place of `~`: shells do not replace it after `=`."""
     before, sign, path = word.rpartition("=") if re.match(r"[\w.-]+=~", word) else ("", "", word)
-    return before + sign + os.path.expanduser(path) if path == "~" or path.startswith("~/") else word
+    if path == "~" or path.startswith("~/"):
+        path = os.path.expanduser(path)
+    return before + sign + path
 
 
 def _carry_out(command: Callable[..., int | None]) -> int | None:

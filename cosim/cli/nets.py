@@ -110,13 +110,14 @@ def show(
     elif (Path(city) / "recipe.toml").is_file():
         facts |= summary(catalogue.open_folder(Path(city)))
     else:
-        files = [p for p in (found.sumocfg, found.net, *found.buildings, *found.types) if p is not None]
+        named = (found.sumocfg, found.net, *found.buildings, *found.types)
+        files = {path for path in named if path is not None}
         x0, y0, x1, y1 = catalogue.bounds_m(found.net)
         facts |= {
             "licence": found.licence,
             "attribution": found.attribution,
             "km2": round((x1 - x0) * (y1 - y0) / 1e6, 2),
-            "MB": round(sum(path.stat().st_size for path in set(files)) / 1e6, 2),
+            "MB": round(sum(path.stat().st_size for path in files) / 1e6, 2),
             "on_disk": found.net.parent,
         }
     driven = [lane for lane in lanes(found.net) if lane.for_cars and not lane.across]
@@ -167,7 +168,8 @@ def _length_m(line_m: ndarray) -> float:
     """Length of a polyline of n points (n x 2, or n x 3 with heights that do not count)."""
     import numpy as np
 
-    return float(np.hypot(*np.diff(line_m[:, :2], axis=0).T).sum())
+    pieces_m = np.diff(line_m[:, :2], axis=0)
+    return float(np.hypot(*pieces_m.T).sum())
 
 
 LABELS = {

@@ -54,8 +54,11 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
         screen.print(f"wrote {csv}", soft_wrap=True)
     elif as_json:
-        titles = [str(run.path) if run.variant == "base" else f"{run.path}:{run.variant}" for run in runs]
-        print_json(dict(zip(titles, map(rows_of, tables), strict=True)))
+        of_run = {}
+        for run, table in zip(runs, tables, strict=True):
+            variant = "" if run.variant == "base" else f":{run.variant}"
+            of_run[f"{run.path}{variant}"] = rows_of(table)
+        print_json(of_run)
     elif len(runs) == 1:
         print_rows(str(runs[0].path), rows_of(tables[0]))
     else:
@@ -99,7 +102,8 @@ def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str,
     order = order.sort_values("metric", key=lambda names: names.map(first_of), kind="stable")
     last = ""
     for metric, group in order.itertuples(index=False, name=None):
-        cells = [plain(float(of[metric, group])) if (metric, group) in of.index else "" for of in values]
+        found = [of.get((metric, group)) for of in values]
+        cells = ["" if value is None else plain(float(value)) for value in found]
         if not any(cells):
             continue
         if last and metric.split(".")[0] != last.split(".")[0]:

@@ -123,8 +123,9 @@ def _print_progress(folder: Path, as_json: bool) -> None:
     found = progress_of(folder)
     of = "" if found["steps_asked"] is None else f" of {found['steps_asked']:,}"
     why = f" ({found['error']})" if found["error"] else ""
-    said = f"{folder}: {found['status']}{why}; {found['steps']:,}{of} steps in {found['blocks']:,} blocks, "
-    print_done(found, f"{said}{found['bytes'] / 1e6:,.1f} MB. Next: {found['next']}", as_json)
+    done = f"{found['steps']:,}{of} steps in {found['blocks']:,} blocks"
+    said = f"{folder}: {found['status']}{why}; {done}, {found['bytes'] / 1e6:,.1f} MB."
+    print_done(found, f"{said} Next: {found['next']}", as_json)
 
 
 def cache(
@@ -140,7 +141,9 @@ def cache(
     from cosim.studies.stages import Cache, default_folder
 
     kept = Cache(default_folder())
-    gone = kept.shrink(0.0 if clear or limit_gb is None else limit_gb, set()) if clear or limit_gb is not None else []
+    if clear:
+        limit_gb = 0.0
+    gone = [] if limit_gb is None else kept.shrink(limit_gb, set())
     entries = kept.entries()
     rows = [
         {"stage": e.stage, "name": e.name, "MB": round(e.bytes / 1e6, 2), "seconds": e.seconds,
@@ -154,7 +157,8 @@ def cache(
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
     screen.print(table)
-    screen.print(f"{len(entries)} kept, {sum(e.bytes for e in entries) / 1e6:.1f} MB; {len(gone)} deleted")
+    kept_mb = sum(entry.bytes for entry in entries) / 1e6
+    screen.print(f"{len(entries)} kept, {kept_mb:.1f} MB; {len(gone)} deleted")
 
 
 def is_study(folders: list[Path]) -> bool:
@@ -323,7 +327,8 @@ def plot(
         drawn = study_curves.draw(study, _CURVES[topic], by, held)
     else:
         drawn = figure.draw(study, topic, metrics, over, by, held)
-    screen.print(f"wrote {style.save(drawn, out or folder / f'{topic}.png')}", soft_wrap=True)
+    path = style.save(drawn, out or folder / f"{topic}.png")
+    screen.print(f"wrote {path}", soft_wrap=True)
 
 
 def report(folder: Path, out: Path | None, figures: Path | None, where: list[str]) -> None:
@@ -343,14 +348,15 @@ def report(folder: Path, out: Path | None, figures: Path | None, where: list[str
 def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
     """What a sweep would make, as numbers."""
     made, cost = task.plan, task.estimate
-    merged = sum(len(run.members) for run in made.runs if len(run.members) > 1)
+    n_members = [len(run.members) for run in made.runs]
+    n_merged = sum(n for n in n_members if n > 1)
     n_workers = max(1, min(workers or n_cores(), len(made.runs)))
     return {
         "study": task.study.head.name,
         "points": len(task.points),
         "finished": task.n_finished,
         "runs": len(made.runs),
-        "points_as_trust_variants": merged,
+        "points_as_trust_variants": n_merged,
         "traffic_driven": len(made.traffic),
         "runs_that_replay_traffic": sum(bool(run.traffic) for run in made.runs),
         "seconds": round(cost.planned_s),
