@@ -53,7 +53,8 @@ def check(config: Config) -> Scenario:
         one = Boxes(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
         car = np.array([Shape.CAR], np.uint8)
         first = np.zeros(1, np.int64)
-        lidar.scan(one, car, first, Scene.empty(), config.lidar, np.zeros(1, np.uint64))
+        key = np.zeros(1, np.uint64)
+        lidar.scan(one, car, first, Scene.empty(), config.lidar, key)
     return scenario
 
 
@@ -149,7 +150,8 @@ def remarks_on(config: Config, scenario: Scenario, path: Path | None) -> list[st
 
 def notes_on(config: Config, scenario: Scenario) -> list[str]:
     """Notes on keys that change nothing, and on streets, buildings and what stands beside streets."""
-    notes = farewell(config.preset) + keys_in_vain(config, scenario) + list(scene_summary(scenario).notes)
+    notes = farewell(config.preset) + keys_in_vain(config, scenario)
+    notes += scene_summary(scenario).notes
     if config.parked.per_100_m or config.trees.per_100_m:
         city = scenario.city(config.trees, config.seed)
         if config.parked.per_100_m and not scenario.parked(config.parked, city, config.seed):

@@ -74,13 +74,20 @@ def _described(dtype: np.dtype) -> Any:
     """A dtype as plain data: its name, or a list of its fields with names, dtypes and shapes."""
     if dtype.fields is None:
         return dtype.str
-    return [[name, _described(dtype[name].base), list(dtype[name].shape)] for name in dtype.fields]
+    described = []
+    for name in dtype.fields:
+        of = dtype[name]
+        described.append([name, _described(of.base), list(of.shape)])
+    return described
 
 
 def _dtype_of(about: Any) -> np.dtype:
     """The dtype from its description; ValueError if it holds anything but numbers, text and times."""
     if isinstance(about, list):
-        return np.dtype([(str(name), _dtype_of(of), tuple(shape)) for name, of, shape in about])
+        fields = []
+        for name, of, shape in about:
+            fields.append((str(name), _dtype_of(of), tuple(shape)))
+        return np.dtype(fields)
     dtype = np.dtype(str(about))
     if dtype.kind not in _PLAIN_KINDS or dtype.hasobject:
         raise ValueError(f"an array of dtype {about}")
@@ -119,7 +126,8 @@ class _Writer:
         if type(value) is dict:
             pairs = []
             for key, content in value.items():
-                pairs.append([self.node(key, f"{where} key"), self.node(content, f"{where}[{key!r}]")])
+                key_node = self.node(key, f"{where} key")
+                pairs.append([key_node, self.node(content, f"{where}[{key!r}]")])
             return ["dict", number, pairs]
         name = self._class(type(value), where)
         if isinstance(value, tuple):

@@ -273,8 +273,11 @@ class Drive:
     def _absent_victims(self) -> list[str]:
         """Keys of the config whose victim was never on the road."""
         known = set(self.registry.names)
-        named = ((n, p.victim_id) for n, p in enumerate(self.parts.config.attacks) if p.victim == "one")
-        return [f'attacks.{n}.victim_id = "{name}"' for n, name in named if name not in known]
+        absent = []
+        for number, attack in enumerate(self.parts.config.attacks):
+            if attack.victim == "one" and attack.victim_id not in known:
+                absent.append(f'attacks.{number}.victim_id = "{attack.victim_id}"')
+        return absent
 
     def _n_placed(self) -> int:
         """Parked cars and placed vehicles, which are no traffic, summed over the steps like `n_on_road`."""
@@ -293,10 +296,11 @@ class Drive:
         poses = {"yaw_rad": boxes.yaw_rad, "speed_mps": world.speed_mps} | {
             f"{axis}_m": boxes.xyz_m[:, column] for column, axis in enumerate("xyz")
         }
-        same = np.array_equal(want["actor"], world.actor[kept]) and all(
-            np.array_equal(want[name], values[kept].astype(np.float32)) for name, values in poses.items()
-        )
-        if not same:
+        is_same = np.array_equal(want["actor"], world.actor[kept])
+        for name, values in poses.items():
+            stored = values[kept].astype(np.float32)
+            is_same = is_same and np.array_equal(want[name], stored)
+        if not is_same:
             raise ValueError(
                 f"{self.manifest.folder}: the traffic of step {world.step} is not the one recorded: "
                 "another SUMO or other files. Run again."

@@ -9,17 +9,24 @@ from cosim.traffic.scenario import Scenario
 
 def provenance(config: Config, scenario: Scenario) -> dict[str, str]:
     """Name, licence and attribution of the scenario, and the SHA-256 of every file that the run reads."""
-    return scenario.provenance() | {f"sha256 {key}": found for key, found in mesh_checksums(config).items()}
+    meshes = {f"sha256 {key}": found for key, found in mesh_checksums(config).items()}
+    return scenario.provenance() | meshes
 
 
 def changed_inputs(config: Config, scenario: Scenario, before: dict[str, str]) -> list[str]:
     """Names of the files whose content differs from the provenance of an earlier run of this config."""
-    meshes = [key for key, found in mesh_checksums(config).items() if before.get(f"sha256 {key}", found) != found]
-    return scenario.changed_inputs(before) + meshes
+    changed = scenario.changed_inputs(before)
+    for key, found in mesh_checksums(config).items():
+        if before.get(f"sha256 {key}", found) != found:
+            changed.append(key)
+    return changed
 
 
 def mesh_checksums(config: Config) -> dict[str, str]:
     """SHA-256 of the mesh files by key of the config; an empty string if a file does not exist."""
-    files = [(f"meshes.{n}.file", mesh.file) for n, mesh in enumerate(config.meshes)]
-    files += [(f"vehicle_meshes.{n}.file", body.file) for n, body in enumerate(config.vehicle_meshes)]
-    return {key: sha256(Path(file)) if Path(file).is_file() else "" for key, file in files}
+    checksums = {}
+    for section in ("meshes", "vehicle_meshes"):
+        for number, mesh in enumerate(getattr(config, section)):
+            path = Path(mesh.file)
+            checksums[f"{section}.{number}.file"] = sha256(path) if path.is_file() else ""
+    return checksums

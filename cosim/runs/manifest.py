@@ -26,7 +26,7 @@ from results.manifest import write_manifest
 from results.tables import SCHEMA_VERSION, kept
 
 PACKAGES = ("libsumo", "numpy", "scipy", "numba", "pyarrow", "pandas")
-_OF_ENGINES = {"embree": "embreex"}
+_OF_ENGINES = {"embree": ("embreex",)}
 CONFIG = "config.toml"
 GRAZING = "not columnar: where rays graze edges, tables differ from those of the columnar caster"
 _RESERVE = ".reserve"
@@ -36,9 +36,8 @@ _RESERVE_BYTES = 1 << 16
 @cache
 def versions(engine: str) -> dict[str, str]:
     """Versions of Python, of cosim, and of the packages on which results with this ray caster depend, if installed."""
-    packages = [*PACKAGES, *(package for name, package in _OF_ENGINES.items() if name == engine)]
     found = {"python": platform.python_version(), "cosim": __version__}
-    for package in packages:
+    for package in (*PACKAGES, *_OF_ENGINES.get(engine, ())):
         with suppress(PackageNotFoundError):  # recorded traffic is replayed without SUMO
             found[package] = version(package)
     return found

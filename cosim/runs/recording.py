@@ -503,7 +503,8 @@ def _evidence_rows(world: World, sensed: Sensed) -> Columns:
     n_copies = 0
     for broadcast in sensed.rounds:
         n_copies += broadcast.round.frames.n_duplicate
-        n_copies += sum(late.round.frames.n_duplicate for late in (*broadcast.late, *broadcast.late_clouds))
+        for late in (*broadcast.late, *broadcast.late_clouds):
+            n_copies += late.round.frames.n_duplicate
     return evidence_audit.audit(evaluations, detections, attacks, n_copies)
 
 
@@ -514,14 +515,20 @@ def _trust(recorder: TakesRows, world: World, sensed: Sensed, dt_s: float) -> No
     subject = sensed.known.pseudonym[used.message]
     # Several messages of one sender may be in use; its trust is looked up once.
     _, chosen = np.unique(receiver.astype(np.int64) << 32 | subject, return_index=True)
-    published, units = list(sensed.published), world.is_roadside[sensed.vehicles.row]
+    units = world.is_roadside[sensed.vehicles.row]
+    pseudonym = sensed.vehicles.pseudonym[units]
     if units.any():
-        pseudonym = sensed.vehicles.pseudonym[units]
         by_vehicle = ~np.isin(receiver, sensed.vehicles.actor[units])
         chosen = chosen[(by_vehicle & ~np.isin(subject, pseudonym))[chosen]]
-        published = [None if s is None else s.take(~np.isin(s.subject, pseudonym)) for s in published]
+
     lookups = [found.take(chosen) for found in sensed.looked_up.lookups]
-    of_variant = [(v, scores) for v, scores in enumerate(published) if scores is not None]
+    of_variant = []
+    for variant, scores in enumerate(sensed.published):
+        if scores is None:
+            continue
+        if units.any():
+            scores = scores.take(~np.isin(scores.subject, pseudonym))
+        of_variant.append((variant, scores))
     _published(recorder, world.step, dt_s, of_variant)
     recorder.append("server", world.step, _server_rows(sensed.servers))
     _lookups(recorder, world.step, receiver[chosen], subject[chosen], lookups)
@@ -529,10 +536,16 @@ def _trust(recorder: TakesRows, world: World, sensed: Sensed, dt_s: float) -> No
 
 def _server_rows(servers: Sequence[ServerTraffic | None]) -> Columns:
     """One row per trust variant that has a server: the traffic from and to it."""
-    of_server = [(v, server) for v, server in enumerate(servers) if server is not None]
-    rows: dict[str, list[int]] = {"variant": [v for v, _ in of_server]}
-    rows |= {name: [getattr(server.up, name) for _, server in of_server] for name in _UP}
-    rows |= {name: [getattr(server.down, name) for _, server in of_server] for name in _DOWN}
+    names = ("variant", *_UP, *_DOWN)
+    rows: dict[str, list[int]] = {name: [] for name in names}
+    for variant, server in enumerate(servers):
+        if server is None:
+            continue
+        rows["variant"].append(variant)
+        for name in _UP:
+            rows[name].append(getattr(server.up, name))
+        for name in _DOWN:
+            rows[name].append(getattr(server.down, name))
     return {name: np.array(values, np.int64) for name, values in rows.items()}
 
 
@@ -553,7 +566,7 @@ def _published(recorder: TakesRows, now_step: int, dt_s: float, of_variant: Sequ
 
     n = [len(scores.subject) for _, scores in of_variant]
     uncertainty, is_evaluated, oldest = (joined(x) for x in ("uncertainty", "is_evaluated", "oldest_evaluation_step"))
-    n_evaluators = [scores.n_evaluations if (m := scores.n_evaluators) is None else m for _, scores in of_variant]
+    n_evaluators = [s.n_evaluations if s.n_evaluators is None else s.n_evaluators for _, s in of_variant]
     rows = {
         "variant": np.repeat([v for v, _ in of_variant], n),
         "subject": joined("subject"),

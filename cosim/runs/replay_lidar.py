@@ -69,11 +69,20 @@ def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> 
     for part in run.parts("actors", where=pc.field("step").isin(np.asarray(steps).tolist())):
         for step, rows in part.sort_values(["step", "actor"]).groupby("step"):
             actor = rows.actor.to_numpy(np.int64)
-            boxes = Boxes(rows[["x_m", "y_m", "z_m"]].to_numpy(float), lwh_m[actor], rows.yaw_rad.to_numpy(float))
+            xyz_m = rows[["x_m", "y_m", "z_m"]].to_numpy(float)
+            boxes = Boxes(xyz_m, lwh_m[actor], rows.yaw_rad.to_numpy(float))
+            speed_mps = rows.speed_mps.to_numpy(float)
+            attack = np.zeros(len(actor), np.uint8)
             yield World(
-                int(cast(int, step)), actor, name_key[actor], shape[actor], boxes, rows.speed_mps.to_numpy(float),
-                equipped[actor], np.zeros(len(actor), np.uint8),
-            )  # fmt: skip
+                int(cast(int, step)),
+                actor,
+                name_key[actor],
+                shape[actor],
+                boxes,
+                speed_mps,
+                equipped[actor],
+                attack,
+            )
 
 
 def sweep(config: Config, city: Scene, world: World, rows: Int[ndarray, "e"]) -> Sweeps:

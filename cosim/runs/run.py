@@ -137,7 +137,8 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
     scenario = check(config)
     before, now = manifest["net"], provenance(config, scenario)
     if now != before:
-        changed = [key for key in sorted(now.keys() | before.keys()) if now.get(key) != before.get(key)]
+        keys = sorted(now.keys() | before.keys())
+        changed = [key for key in keys if now.get(key) != before.get(key)]
         raise ValueError(f"{path}: its inputs have changed since: {', '.join(changed)}. Run again.")
     with StopRequest() as stop:
         folder = run_folder.reopen(path)
@@ -222,7 +223,12 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
     lidar = manifest["config"].get("lidar")
     now = versions(str(lidar.get("engine")) if isinstance(lidar, dict) else "")
     begun_with = manifest.get("versions", {})
-    if other := [f"{p} {begun_with.get(p)} (now {v})" for p, v in now.items() if begun_with.get(p) != v]:
+    other = []
+    for package, version in now.items():
+        before = begun_with.get(package)
+        if before != version:
+            other.append(f"{package} {before} (now {version})")
+    if other:
         raise ValueError(f"{path} was begun with {', '.join(other)}: the tables would be of two kinds. Run again.")
     if linked := links(path):
         raise ValueError(f"{path}: {linked[0]} is a symbolic link, through which nothing is written.")
@@ -230,12 +236,14 @@ def resumable(path: Path, trust_code: bool = False) -> Config:
         raise Damaged(f"{path} cannot go on: {problem}. Run again.")
     config = of_run(manifest["config"], path, trust_code)
     found = {key: asdict(source) for key, source in sources(config).items()}
-    before = manifest.get("choices")
-    if found != before:
-        known = before if isinstance(before, dict) else {}
-        changed = {key: source for key, source in found.items() if known.get(key) != source}
-        named = [f"{key} names {source['file'] or source['name']}" for key, source in changed.items()]
-        names = ", ".join(named) or "choices"
+    chosen = manifest.get("choices")
+    if found != chosen:
+        known = chosen if isinstance(chosen, dict) else {}
+        changed = []
+        for key, source in found.items():
+            if known.get(key) != source:
+                changed.append(f"{key} names {source['file'] or source['name']}")
+        names = ", ".join(changed) or "choices"
         raise ValueError(f"{path}: {names}, which was changed since. Run again.")
     return config
 

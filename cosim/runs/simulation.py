@@ -212,10 +212,12 @@ class SimulatedStep:
             raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, "
                              "where there are any.")  # fmt: skip
         sweeps = sensed.positioned.observed.sweeps
-        images, o = sweeps.image(int(row[0])) if isinstance(sweeps, MixedImages) else (sweeps, int(row[0]))
+        images, observer = sweeps, int(row[0])
+        if isinstance(sweeps, MixedImages):
+            images, observer = sweeps.image(observer)
         assert isinstance(images, RangeImages), "this process holds the range images"
-        xyz_m = images.xyz(o)
-        return xyz_m if frame == "sensor" else images.poses.to_world(o, xyz_m)
+        xyz_m = images.xyz(observer)
+        return xyz_m if frame == "sensor" else images.poses.to_world(observer, xyz_m)
 
     def table(self, name: str) -> pd.DataFrame:
         """Rows of this step for one table of a run; empty if the step has no rows for it.

@@ -128,7 +128,8 @@ class Ahead:
         """Stations that send new messages: vehicles that sense, and roadside units."""
         equipped = np.flatnonzero(world.equipped)
         n_vehicles, n_units = len(equipped), len(self._parts.rsus)
-        return np.append(np.searchsorted(equipped, self._parts.sensing(world)), n_vehicles + np.arange(n_units))
+        sensing = np.searchsorted(equipped, self._parts.sensing(world))
+        return np.append(sensing, n_vehicles + np.arange(n_units))
 
     def _links(self, medium: LinksAhead, stations: Stations, senders: Int[ndarray, "k"]) -> LinkCache:
         with self.watch("links"):
