@@ -269,7 +269,8 @@ class Adversary:
             return np.zeros(len(world), np.int64)
         rank = state.rank[number]
         new = np.flatnonzero(member & (rank[world.actor] < 0))
-        east, north = np.floor(world.boxes.xyz_m[new, :2] / _CELL_M).T  # cell of each
+        xy_m = world.boxes.xyz_m[new, :2]
+        east, north = np.floor(xy_m / _CELL_M).T  # cell of each
         order = np.lexsort((world.actor[new], north, east))
         new = new[order]
         next_rank = rank.max(initial=-1) + 1

@@ -170,7 +170,8 @@ class Sending(Rows):
 
     def abuses_channel(self) -> Bool[ndarray, "n"]:
         """Actors that jam, or send without congestion control."""
-        return self.ignores_dcc | (self.jam_dbm > -np.inf) | (self.react_dbm > -np.inf)
+        jams_dbm = np.maximum(self.jam_dbm, self.react_dbm)
+        return self.ignores_dcc | (jams_dbm > -np.inf)
 
     def attacks(self) -> Bool[ndarray, "n"]:
         """Actors that do not send honestly."""

@@ -85,10 +85,11 @@ def _pool(seen: Detections, context: AttackContext) -> dict[str, ndarray]:
     order = np.lexsort((now["detection_index"], now["name_key"], now["range_m"]))
     now = {name: column[order] for name, column in now.items()}
     before = context.memory.get("detected")
-    pool = now
+    pool = dict(now)
     if before is not None:
         rare = np.isin(before["label"], np.setdiff1d(before["label"], now["label"]))
-        pool = {name: np.concatenate([now[name], before[name][rare]]) for name in now}
+        for name, column in before.items():
+            pool[name] = np.concatenate([now[name], column[rare]])
     labels = pool["label"]
     last = [np.flatnonzero(labels == label)[:_KEPT] for label in np.unique(labels)]
     kept = np.concatenate([np.zeros(0, np.int64), *last])
@@ -130,9 +131,9 @@ def _alike(
 
 
 def _first(observer: Int[ndarray, "c"]) -> Int[ndarray, "c"]:
-    """Row of the first ghost of the same observer; the ghosts of an observer follow each other."""
-    starts = np.append(True, observer[1:] != observer[:-1])[: len(observer)]
-    return np.maximum.accumulate(np.where(starts, np.arange(len(observer)), 0))
+    """Row of the first ghost of the same observer."""
+    _, first, group = np.unique(observer, return_index=True, return_inverse=True)
+    return first[group]
 
 
 def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tuple[Detections, Int[ndarray, "d"]]:

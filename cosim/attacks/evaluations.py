@@ -50,7 +50,8 @@ def _of_others(rows: EvaluationRows, detections: Detections, context: AttackCont
 
 def _accomplices(rows: EvaluationRows, observer: Int[ndarray, "m"], context: AttackContext) -> Bool[ndarray, "m"]:
     """Rows about members of the evaluator's own ring."""
-    return context.member[observer] & (context.ring[observer] == context.ring[rows.evaluator])
+    own_ring = context.ring[rows.evaluator]
+    return context.member[observer] & (context.ring[observer] == own_ring)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -152,7 +152,8 @@ class Mirror:
         own = listed.observer[rows]
         yaw = poses.yaw_rad[own]
         left = np.column_stack([-np.sin(yaw), np.cos(yaw)])
-        between_m = listed.boxes.xyz_m[rows, :2] - poses.xyz_m[own, :2]
+        own_m = poses.xyz_m[own, :2]
+        between_m = listed.boxes.xyz_m[rows, :2] - own_m
         away_m = (between_m * left).sum(axis=1)
         moved = _moved(listed, rows, -2 * away_m[:, None] * left)
         turned = moved.boxes.yaw_rad.copy()

@@ -56,15 +56,17 @@ class GhostInsertion(Vouched[GhostInsertionParams]):
         """The lists, with the ghosts added."""
         p, world = self.params, context.world
         attacker, victim = context.victims()
-        objects = GHOSTS[p.ghosts]
-        label = np.tile([g[0] for g in objects], len(attacker)).astype(np.uint8)
-        ahead_m = p.ahead_m + np.tile([g[1] for g in objects], len(attacker))
-        left_m = np.tile([g[2] for g in objects], len(attacker))
-        attacker = np.repeat(attacker, len(objects))
-        victim = np.repeat(victim, len(objects))
-        xyz, yaw = placed(world, victim, ahead_m, left_m, np.full(len(victim), np.pi))
+        classes, beyond_m, to_left_m = zip(*GHOSTS[p.ghosts], strict=True)
+        label = np.tile(classes, len(attacker)).astype(np.uint8)
+        ahead_m = p.ahead_m + np.tile(beyond_m, len(attacker))
+        left_m = np.tile(to_left_m, len(attacker))
+        attacker = np.repeat(attacker, len(classes))
+        victim = np.repeat(victim, len(classes))
+        opposite_rad = np.full(len(victim), np.pi)
+        xyz, yaw = placed(world, victim, ahead_m, left_m, opposite_rad)
         is_car = label == CAR
         lwh = np.where(is_car[:, None], world.boxes.lwh_m[attacker], PEDESTRIAN_LWH_M)
-        ground = world.boxes.xyz_m[victim, 2] - world.boxes.lwh_m[victim, 2] / 2
+        height = world.boxes.lwh_m[victim, 2]
+        ground = world.boxes.xyz_m[victim, 2] - height / 2
         xyz[:, 2] = ground + lwh[:, 2] / 2
         return ghosts(listed, attacker, label, Boxes(xyz, lwh, yaw), context, victim)

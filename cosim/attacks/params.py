@@ -115,7 +115,7 @@ PAPER: tuple[dict[str, Any], ...] = (
 
 def check_attacks(params: Sequence[AttackParams], freshness_s: float | str, interval_s: float) -> None:
     """Raise a ValueError of one line if a section is not possible. `interval_s` is the time between two messages."""
-    total = sum(p.share_p for p in params if not p.ids and p.together_with is None)
+    total = sum(shares(params))
     if total > 1 + 1e-9:
         raise ValueError(
             f"attacks: the shares share_p sum to {total:g}, more than all equipped vehicles. "
@@ -195,9 +195,14 @@ def shares(params: Sequence[AttackParams]) -> tuple[float, ...]:
 
 def named(params: Sequence[AttackParams]) -> dict[str, int]:
     """SUMO ids that sections name, and the number of the section, counted from 0."""
-    return {name: number for number, p in enumerate(params) if p.together_with is None for name in p.ids}
+    section_of: dict[str, int] = {}
+    for number, p in enumerate(params):
+        if p.together_with is None:
+            section_of |= dict.fromkeys(p.ids, number)
+    return section_of
 
 
 def roles_of(params: Sequence[AttackParams]) -> UInt8[ndarray, "a"]:
     """Code of the role (`cosim.base.codes.Role`) for each number of `world.attack`. Number 0 means honest."""
-    return np.array([Role.HONEST, *(Role[p.role.upper()] for p in params)], np.uint8)
+    roles = [Role[p.role.upper()] for p in params]
+    return np.array([Role.HONEST, *roles], np.uint8)

@@ -45,9 +45,11 @@ class Unreliable(Vouched[UnreliableParams]):
         faulty = np.flatnonzero(context.attacker[listed.observer])
         own = listed.take(faulty)
         named = world.name_key[own.observer], own.detection_index
-        omitted = (own.origin == SENSED) & (context.draw(Stream.OMISSION, *named)[:, 0] < p.remove_p)
+        omission = context.draw(Stream.OMISSION, *named)[:, 0]
+        omitted = (own.origin == SENSED) & (omission < p.remove_p)
         draws = context.draw(Stream.FABRICATION, *named, n=4)
-        copied = np.flatnonzero((own.origin != FABRICATED) & (draws[:, 0] < p.add_p))
+        is_copied = (own.origin != FABRICATED) & (draws[:, 0] < p.add_p)
+        copied = np.flatnonzero(is_copied)
         source, u = own.take(copied), draws[copied, 1:]
         ahead_m = p.add_range_m * u[:, 0]
         left_m = ahead_m * (u[:, 1] - 0.5)

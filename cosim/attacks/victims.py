@@ -56,7 +56,8 @@ def designated(seed: int, name_key: UInt64[ndarray, "n"], victim_p: float) -> Bo
     victim_p
         Share that is drawn.
     """
-    return rng.uniforms(rng.key(seed, rng.Stream.VICTIM), name_key)[:, 0] < victim_p
+    key = rng.key(seed, rng.Stream.VICTIM)
+    return rng.uniforms(key, name_key)[:, 0] < victim_p
 
 
 def _eligible(world: World, params: AttackParams, seed: int) -> Int[ndarray, "v"]:
@@ -91,7 +92,9 @@ def _random(
     others = v != attackers[a]
     a, v = a[others], v[others]
     first = np.searchsorted(a, np.arange(len(attackers)))
-    n = np.bincount(a, minlength=len(attackers))
-    has = n > 0
-    pick = first[has] + np.minimum((draw[has] * n[has]).astype(int), n[has] - 1)
+    counts = np.bincount(a, minlength=len(attackers))
+    has = counts > 0
+    n = counts[has]
+    drawn = (draw[has] * n).astype(int)
+    pick = first[has] + np.minimum(drawn, n - 1)
     return attackers[has], v[pick]

@@ -92,7 +92,11 @@ def _own_keys(item: Mapping[str, Any], params: list[Any]) -> dict[str, Any]:
         if is_dataclass(one):
             defaults |= {f.name: _plain(_default(f)) for f in fields(one)}
     first = next(iter(item), "")
-    return {key: value for key, value in item.items() if key == first or _plain(value) != defaults.get(key, NONE)}
+    own = {}
+    for key, value in item.items():
+        if key == first or _plain(value) != defaults.get(key, NONE):
+            own[key] = value
+    return own
 
 
 def _default(field: Any) -> Any:

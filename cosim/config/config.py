@@ -568,9 +568,10 @@ def _check_plain(own: dict[str, Any], choice: Choice) -> None:
     for key, value in own.items():
         if not is_plain(value):
             assert choice.params is not None
-            line = definition_line(choice.params, "", choice.source.file)
+            file = choice.source.file
+            line = definition_line(choice.params, "", file)
             raise ValueError(
-                f"{choice.source.file}:{line}: {_title(choice)}: Params.{key} is a {type(value).__name__}, which a "
+                f"{file}:{line}: {_title(choice)}: Params.{key} is a {type(value).__name__}, which a "
                 "config file cannot contain. Use text, a number, true or false, or a list of these."
             )
 

@@ -166,7 +166,8 @@ def check_finite(data: Any, name: str, where: str) -> None:
 def is_plain(data: Any) -> bool:
     """Whether a config file can contain this value."""
     if isinstance(data, dict):
-        return all(isinstance(key, str) and is_plain(value) for key, value in data.items())
+        has_text_keys = all(isinstance(key, str) for key in data)
+        return has_text_keys and all(map(is_plain, data.values()))
     if isinstance(data, list | tuple):
         return all(map(is_plain, data))
     return data is None or isinstance(data, bool | int | float | str)

@@ -28,8 +28,8 @@ def _hosts(config: Config) -> set[str]:
 def _is_read(config: Config, key: str) -> bool:
     """Whether any trust model of a config reads a key of [trust]. Attacks may count their periods in windows."""
     name = key.removeprefix("trust.")
-    choices = [chosen(config, "trust")[0], *(chosen_model(variant)[0] for variant in config.trust_variant)]
-    for choice in choices:
+    of_variants = [chosen_model(variant)[0] for variant in config.trust_variant]
+    for choice in (chosen(config, "trust")[0], *of_variants):
         if choice.params is None or name in {f.name for f in fields(choice.params)}:
             return True
     return name == "freshness_s" and any(attack.period_windows is not None for attack in config.attacks)
@@ -94,11 +94,11 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     """
     usual = _usual(config.preset)
     lists = ("attacks.", "roadside.", "encounters.", "trust_variant.", "objects.", "meshes.", "vehicle_meshes.")
-    stated = [
-        name
-        for name, value in _leaves(config.to_dict())
-        if not name.startswith(lists) and all(value != one.get(name) for one in usual)
-    ]
+    stated = []
+    for name, value in _leaves(config.to_dict()):
+        is_usual = any(value == one.get(name) for one in usual)
+        if not is_usual and not name.startswith(lists):
+            stated.append(name)
     simulated = _Need(
         ("traffic.seed", "traffic.scale", "traffic.car_following"),
         "SUMO (traffic is replayed)",
@@ -109,7 +109,8 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
         for number, one in enumerate(getattr(config, section)):
             prefix = f"{section}.{number}."
             optional = (f for f in fields(default) if f.default is not MISSING)
-            of_section = [prefix + f.name for f in optional if getattr(one, f.name) != f.default]
+            changed = [f.name for f in optional if getattr(one, f.name) != f.default]
+            of_section = [prefix + name for name in changed]
             found += _vain(of_section, _needs(section, one, prefix))
     found += _unread_by_variants(config)
     if config.trust.matching == "iou":
@@ -157,7 +158,8 @@ def _vain(stated: list[str], needs: list[_Need]) -> list[str]:
         vain = [name for name in named if name not in deciding]
         stated = [name for name in stated if name not in vain]
         if vain:
-            lines.append(f"{', '.join(vain)} {'have' if len(vain) > 1 else 'has'} no effect without {need}.")
+            verb = "have" if len(vain) > 1 else "has"
+            lines.append(f"{', '.join(vain)} {verb} no effect without {need}.")
     return lines
 
 

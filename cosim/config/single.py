@@ -21,7 +21,8 @@ def from_command_line(kind: str, name: str, sets: Sequence[str] = ()) -> tuple[C
     ValueError
         There is no such class, or its parameters are wrong. The message is one line.
     """
-    choice, data = resolve(KINDS[kind], name), dict[str, Any]()
+    choice = resolve(KINDS[kind], name)
+    data: dict[str, Any] = {}
     for text in sets:
         override(data, text)
     if choice.params is None:
