@@ -95,7 +95,8 @@ def scenario_of(scenario: str, trace: str | None) -> Scenario:
 def _recorded(trace: Path) -> float:
     if trace.is_dir():
         return float(read_manifest(trace).get("summary", {}).get("vehicles_on_road_mean", HELSINKI))
-    return float(np.mean([len(one.names) for one in islice(timesteps(trace), _PROBED)] or [HELSINKI]))
+    n_actors = [len(timestep.names) for timestep in islice(timesteps(trace), _PROBED)]
+    return float(np.mean(n_actors or [HELSINKI]))
 
 
 @cache
@@ -107,7 +108,8 @@ def _demanded(name: str, scenario: Scenario, begin_s: float | None, after_s: flo
     if scenario.bounds_m is None or scenario.sumocfg is None:
         return HELSINKI
     x0, y0, x1, y1 = scenario.bounds_m
-    lasts_s = _LEG_S * float(np.sqrt(np.hypot(x1 - x0, y1 - y0)))
+    diagonal_m = np.hypot(x1 - x0, y1 - y0)
+    lasts_s = _LEG_S * float(np.sqrt(diagonal_m))
     if name in COUNTED:
         return COUNTED[name]
     if (known := remembered(_place_of(scenario, begin_s, after_s))) is not None:
@@ -149,5 +151,7 @@ def _rate(flow: Attributes, lasts_s: float) -> float:
     if "number" in flow:
         return float(flow["number"]) / max(lasts_s, 1.0)
     per_s = {"vehsPerHour": 1 / 3600, "probability": 1.0}
-    found = [float(flow[name]) * factor for name, factor in per_s.items() if name in flow]
-    return found[0] if found else 1 / float(flow["period"]) if "period" in flow else 0.0
+    for name, factor in per_s.items():
+        if name in flow:
+            return float(flow[name]) * factor
+    return 1 / float(flow["period"]) if "period" in flow else 0.0

@@ -35,13 +35,10 @@ class Work:
 
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
     """Make all runs. Yields the name and the last attempt of each run and each traffic when it ends."""
-    first: dict[str, Future] = {
-        name: client.submit(
-            drive_traffic, str(work.cache), name, str(path), str(study.path), limits.timeout_s, key=f"traffic-{name}",
-            pure=False,
-        )
-        for name, path in work.traffic.items()
-    }  # fmt: skip
+    first: dict[str, Future] = {}
+    for name, path in work.traffic.items():
+        asked = (str(work.cache), name, str(path), str(study.path), limits.timeout_s)
+        first[name] = client.submit(drive_traffic, *asked, key=f"traffic-{name}", pure=False)
     runs = {
         client.submit(
             make_run, str(study.path), id, limits.retries, limits.timeout_s, limits.memory_gb,
@@ -66,11 +63,12 @@ def make_run(
 ) -> dict[str, Any]:
     """Make a run and its metrics in a subprocess of a worker; repeat it up to `retries` times if it fails."""
     folder = StudyFolder(Path(study))
+    job = folder.job(id)
     attempt = Attempt("stopped", 0.0, 0)
     for _ in range(retries + 1):
         if folder.stop.exists():
             break
-        attempt = _attempt(["run", str(folder.job(id))], folder.job(id) / "log.txt", folder.stop, timeout_s, memory_gb)
+        attempt = _attempt(["run", str(job)], job / "log.txt", folder.stop, timeout_s, memory_gb)
         folder.add_attempt(id, attempt)
         if attempt.outcome in ("ok", "stopped"):
             break

@@ -50,16 +50,22 @@ def estimate(
         for run in made.runs
     )
     replayed = sum(traffic_s(run.config) for run in made.runs if run.traffic)
-    driven = sum(traffic_s(config) + START_S for name, config in made.traffic.items() if name not in stored)
-    size = sum(map(disk_bytes, (run.config for run in made.runs)))
+    missing = [config for name, config in made.traffic.items() if name not in stored]
+    driven = sum(traffic_s(config) + START_S for config in missing)
+    size = sum(disk_bytes(run.config) for run in made.runs)
     planned = merged - replayed + driven
     scale = speed.cpu
     if measured_s is not None and made.runs:
         scale = measured_s * len(made.runs) / planned
     return Estimate(
-        separate * scale, planned * scale, (separate - merged) * scale, (replayed - driven) * scale, size,
-        measured_s is not None, _memory_bytes(made),
-    )  # fmt: skip
+        separate_s=separate * scale,
+        planned_s=planned * scale,
+        merged_saves_s=(separate - merged) * scale,
+        traffic_saves_s=(replayed - driven) * scale,
+        bytes=size,
+        is_measured=measured_s is not None,
+        memory_bytes=_memory_bytes(made),
+    )
 
 
 def _memory_bytes(made: StudyPlan) -> float:

@@ -170,8 +170,11 @@ class StudyFolder:
                     "memory_bytes": max((a.memory_bytes for a in done), default=0),
                     "disk_bytes": _size(self.run(id)) if id else 0,
                 }
-            rows.append({"point": point.id, "run": id, "variant": variant, "replicate": point.replicate} | of_run[id])
-        columns: dict[str, Any] = {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}
+            named = {"point": point.id, "run": id, "variant": variant, "replicate": point.replicate}
+            rows.append(named | of_run[id])
+        columns: dict[str, Any] = {}
+        for name in rows[0] if rows else ():
+            columns[name] = [row[name] for row in rows]
         for key in study.keys:
             columns[key] = _column([point.keys[key] for point in points])
         head = {
@@ -207,12 +210,14 @@ def _members(job: Path) -> dict[str, str]:
 
 def _attempts(path: Path) -> list[Attempt]:
     """Attempts as a file has them. Damaged, in one line, if it has something else."""
-    kinds: dict[str, Any] = {"outcome": str, "error": str, "wall_s": (int, float), "cpu_s": (int, float)}
-    kinds["memory_bytes"] = int
+    number = (int, float)
+    kinds: dict[str, Any] = {"outcome": str, "error": str, "wall_s": number, "cpu_s": number, "memory_bytes": int}
     try:
         found = [Attempt(**row) for row in json.loads(durable.read(path))]
-        if wrong := [name for one in found for name, kind in kinds.items() if not isinstance(getattr(one, name), kind)]:
-            raise ValueError(f"{wrong[0]} is of another kind")
+        for attempt in found:
+            for name, kind in kinds.items():
+                if not isinstance(getattr(attempt, name), kind):
+                    raise ValueError(f"{name} is of another kind")
         return found
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise _damaged(path, error) from None
@@ -236,9 +241,10 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def _column(values: Sequence[Any]) -> Sequence[Any]:
     """Values of a key as a column: numbers, texts and booleans unchanged, anything else as text."""
-    if all(isinstance(v, bool) for v in values) or all(isinstance(v, str) for v in values):
+    kinds = {type(v) for v in values}
+    if kinds in ({bool}, {str}):
         return values
-    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+    if bool not in kinds and all(isinstance(v, int | float) for v in values):
         return [float(v) for v in values]
     return [v if isinstance(v, str) else json.dumps(v) for v in values]
 

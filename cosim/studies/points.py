@@ -30,7 +30,8 @@ class Point:
     @property
     def said(self) -> str:
         """Swept keys and replicate in one line."""
-        return ", ".join([*(f"{k} = {v}" for k, v in self.keys.items()), f"replicate {self.replicate}"])
+        swept = [f"{key} = {value}" for key, value in self.keys.items()]
+        return ", ".join([*swept, f"replicate {self.replicate}"])
 
 
 def points_of(study: Study, where: str) -> list[Point]:
@@ -74,17 +75,15 @@ def traffic_identity(config: Config) -> str:
 
 def shared_identity(config: Config, level: str) -> str:
     """Name of what a config computes apart from trust."""
-    return identity(replace(config, trust=type(config.trust)(), trust_variant=(), own=_without_trust(config))) + level
+    own = {section: values for section, values in config.own.items() if section != "trust"}
+    without_trust = replace(config, trust=type(config.trust)(), trust_variant=(), own=own)
+    return identity(without_trust) + level
 
 
 def digest(content: Any) -> str:
     """Sixteen hexadecimal digits of plain data."""
     text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _without_trust(config: Config) -> dict[str, dict[str, Any]]:
-    return {section: values for section, values in config.own.items() if section != "trust"}
 
 
 def _own(config: Config) -> Mapping[str, str]:
@@ -97,4 +96,5 @@ def _files(scenario: str, trace: str | None) -> Mapping[str, str]:
     """Checksums of the files of a scenario, and its own warm-up."""
     found = scenario_of(scenario, trace)
     about = found.provenance() | {"warm-up": f"{found.warmup_s:g} s"}
-    return {name: text for name, text in about.items() if name.startswith("sha256") or name in ("origin", "warm-up")}
+    decisive = ("sha256", "origin", "warm-up")
+    return {name: text for name, text in about.items() if name.startswith(decisive)}

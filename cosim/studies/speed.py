@@ -76,9 +76,12 @@ def remember(scenario: str, n_vehicles: float) -> None:
 def _kept() -> list[tuple[float, float]]:
     low, high = _LIMITS
     with suppress(ValueError, TypeError):
-        kept = _content().get("cpu_and_wall_per_cpu", [])
-        found = [(float(cpu), float(wall)) for cpu, wall in kept]
-        return [(cpu, wall) for cpu, wall in found if low < cpu < high and low < wall < high][-KEPT:]
+        kept = []
+        for cpu, wall in _content().get("cpu_and_wall_per_cpu", []):
+            pair = float(cpu), float(wall)
+            if all(low < value < high for value in pair):
+                kept.append(pair)
+        return kept[-KEPT:]
     return []
 
 

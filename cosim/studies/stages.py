@@ -139,5 +139,8 @@ class Cache:
 
 def _files(entry: Path) -> dict[str, str]:
     """Checksums of an entry's files."""
-    files = (path for path in sorted(entry.rglob("*")) if path.is_file() and path.name != "stage.json")
-    return {path.relative_to(entry).as_posix(): sha256(path) for path in files}
+    checksums = {}
+    for path in sorted(entry.rglob("*")):
+        if path.is_file() and path.name != "stage.json":
+            checksums[path.relative_to(entry).as_posix()] = sha256(path)
+    return checksums

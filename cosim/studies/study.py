@@ -325,7 +325,8 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
                 + ", ".join(f"{key} has {n}" for key, n in lengths.items()) + "."
             )  # fmt: skip
         if columns:
-            rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            together = zip(*columns.values(), strict=True)
+            rows = [dict(zip(columns, row, strict=True)) for row in together]
             axes.append(tuple(_once("[[zip]]", rows, where)))
     if not axes:
         raise ValueError(

@@ -188,12 +188,16 @@ def unbegun(study: Study, where: str) -> Task:
 def keys_in_vain(points: Sequence[Point]) -> list[str]:
     """Notes on keys that change nothing, with the number of points if this is so in some of them only."""
     scenario = cache(find)
-    found = Counter(
-        note
-        for config in (point.config for point in points)
-        for note in checking.keys_in_vain(config, scenario(config.traffic.scenario, config.traffic.trace))
-    )
-    return [note if n == len(points) else f"{note[:-1]}, in {n} of {len(points)} points." for note, n in found.items()]
+    found: Counter[str] = Counter()
+    for point in points:
+        traffic = point.config.traffic
+        found.update(checking.keys_in_vain(point.config, scenario(traffic.scenario, traffic.trace)))
+    notes = []
+    for note, n in found.items():
+        if n != len(points):
+            note = f"{note[:-1]}, in {n} of {len(points)} points."
+        notes.append(note)
+    return notes
 
 
 def scene_notes(points: Sequence[Point]) -> list[str]:
@@ -380,7 +384,8 @@ def _write(task: Task) -> Work:
         if cache.find("traffic", name) is None:
             traffic[name] = (folder.path / "traffic" / f"{name}.json").resolve()
             write_whole(traffic[name], json.dumps(config.to_dict(), default=str).encode())
-    return Work({run.id: run.traffic for run in task.plan.runs}, traffic, cache.path.resolve())
+    traffic_of = {run.id: run.traffic for run in task.plan.runs}
+    return Work(traffic_of, traffic, cache.path.resolve())
 
 
 def status(
@@ -401,5 +406,6 @@ def status(
     states = folder.write_index(study, points)
     asked = {point.id for point in points}
     runs = {run for point, (run, _) in folder.answers().items() if point in asked}
-    failed = [(run, folder.attempts(run)[-1]) for run in sorted(runs) if folder.state(run) == "failed"]
+    names = [run for run in sorted(runs) if folder.state(run) == "failed"]
+    failed = [(run, folder.attempts(run)[-1]) for run in names]
     return study, points, states, failed

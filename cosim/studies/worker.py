@@ -45,7 +45,9 @@ def make(job: Path) -> None:
         if status_of(folder) == "finished" and read_manifest(folder).get("dropped"):
             shutil.rmtree(folder)  # it has been measured otherwise, and tables that metrics need are gone
         if status_of(folder) != "finished":
-            traffic = None if not asked["traffic"] else Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
+            traffic = None
+            if asked["traffic"]:
+                traffic = Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
             _drive(folder, asked["config"], traffic)
         _measure(folder, job, asked)
         _drop(folder, asked["tables"])
