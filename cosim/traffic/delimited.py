@@ -278,8 +278,8 @@ def clock_seconds(text: str) -> float | None:
     found = re.match(_CLOCK, text)
     if found is None:
         return None
-    parts = [found["d"] or "0:", found["h"], found["m"], found["s"]]
-    d, h, m, s = (float(part.rstrip(":").replace(",", ".")) for part in parts)
+    parts = [part.rstrip(":").replace(",", ".") for part in found.groups("0")]
+    d, h, m, s = map(float, parts)
     return ((d * 24 + h) * 60 + m) * 60 + s
 
 

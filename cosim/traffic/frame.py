@@ -88,28 +88,33 @@ class Frame:
             Position in the world frame, heading and speed of each row.
         """
         w, s, e, n = self.bounds_m or (0.0, 0.0, 0.0, 0.0)
-        x0, y0 = self.origin_m
         margin_m = self.margin_m if self.bounds_m else LARGEST_COORDINATE_M / 100
         lowest_xy = np.array([w, s]) - self.origin_m - margin_m
         highest_xy = np.array([e, n]) - self.origin_m + margin_m
         low = np.append(lowest_xy, -LARGEST_Z_M)
         high = np.append(highest_xy, LARGEST_Z_M)
-        inside = ((low <= xyz_m) & (xyz_m <= high)).all(axis=1)  # a number that is not finite is outside
+        is_within = (low <= xyz_m) & (xyz_m <= high)  # a number that is not finite is outside
+        inside = is_within.all(axis=1)
         inside &= np.isfinite(yaw_rad) & (np.abs(speed_mps) <= LARGEST_SPEED_MPS)
         if inside.all():
             return
         row = int(np.argmin(inside))
-        is_bad = ~((low <= xyz_m[row]) & (xyz_m[row] <= high))
-        shown_m = xyz_m[row] + np.array([x0, y0, 0.0])
-        bad = [f"{'xyz'[axis]} = {shown_m[axis]:g} m" for axis in np.flatnonzero(is_bad).tolist()]
+        shown_m = xyz_m[row] + np.array([*self.origin_m, 0.0])
+        bad = []
+        for axis, value_m, is_good in zip("xyz", shown_m, is_within[row], strict=True):
+            if not is_good:
+                bad.append(f"{axis} = {value_m:g} m")
         if not np.isfinite(yaw_rad[row]):
             bad.append("an angle that is not finite")
         if not abs(speed_mps[row]) <= LARGEST_SPEED_MPS:
             bad.append(f"speed = {speed_mps[row]:g} m/s")
-        where = "the network" if margin_m == NETWORK_MARGIN_M else "the first actors" if self.bounds_m else "the origin"
+        where = "the first actors" if self.bounds_m else "the origin"
+        if margin_m == NETWORK_MARGIN_M:
+            where = "the network"
+        name = names[int(number[row])]
         raise TrafficError(
-            f"{self.source}: step {step}: {names[int(number[row])]!r} has {', '.join(bad)}. Actors should be within "
-            f"{margin_m / 1000:g} km of {where}, "
+            f"{self.source}: step {step}: {name!r} has {', '.join(bad)}. "
+            f"Actors should be within {margin_m / 1000:g} km of {where}, "
             f"{LARGEST_Z_M / 1000:g} km of height zero, and slower than {LARGEST_SPEED_MPS:g} m/s."
         )
 

@@ -126,9 +126,10 @@ class Timeline:
         goes_on = n > 0 and len(way) >= _GOES_ON_P * n
         if is_long and goes_on and not self._is_complete:
             raise TrafficError(
-                f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, although {len(way)} "
-                f"of {n} actors are there before and after: the recording has a gap, or its interval of "
-                f"{self._every_s:g} s changes there. Record it again, or cut it into two traces at the gap."
+                f"{self._source}: no timestep between {before.time_s:g} s and {after.time_s:g} s, "
+                f"although {len(way)} of {n} actors are there before and after: the recording has a gap, "
+                f"or its interval of {self._every_s:g} s changes there. "
+                "Record it again, or cut it into two traces at the gap."
             )
 
 

@@ -111,7 +111,7 @@ def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3
     except Exception as error:  # a damaged file can raise any exception in the reader
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ValueError(f"{key} = {path}: cannot be read as a mesh: {reason}.") from None
-    is_placed = np.isfinite(vertices).all() and np.abs(vertices).max(initial=0.0) <= LARGEST_M
+    is_placed = (np.abs(vertices) <= LARGEST_M).all()
     if not len(faces) or not is_placed:
         raise ValueError(f"{key} = {path}: has no triangles, or coordinates that are not finite or beyond 100 km.")
     if path.suffix.lower() == ".glb":

@@ -167,7 +167,8 @@ class WithObjects:
     def _register(self, rows: Int[ndarray, "k"], step: int, equipped: bool) -> None:
         """Give numbers to objects that appear."""
         names = [self._placed.names[i] for i in rows.tolist()]
-        shape, lwh_m = self._placed.shape[rows], self._placed.boxes.lwh_m[rows]
+        shape = self._placed.shape[rows]
+        lwh_m = self._placed.boxes.lwh_m[rows]
         self._number[rows] = self._registry.register(names, shape, lwh_m, step, equipped=equipped)
 
     def command(self, actor: Int[ndarray, "c"], speed_mps: Float[ndarray, "c"]) -> None:

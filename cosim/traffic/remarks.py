@@ -112,9 +112,10 @@ class FlowCounts:
 def jumping(before: World, now: World, dt_s: float) -> Int[ndarray, "n"]:
     """Rows of `now` of the vehicles that have moved farther than they can at the larger of their two speeds."""
     _, was, row = np.intersect1d(before.actor, now.actor, assume_unique=True, return_indices=True)
-    dx_m, dy_m, _ = (now.boxes.xyz_m[row] - before.boxes.xyz_m[was]).T
-    moved_m = np.hypot(dx_m, dy_m)
-    before_mps, now_mps = np.abs(before.speed_mps[was]), np.abs(now.speed_mps[row])
+    way_m = now.boxes.xyz_m[row] - before.boxes.xyz_m[was]
+    moved_m = np.hypot(way_m[:, 0], way_m[:, 1])
+    before_mps = np.abs(before.speed_mps[was])
+    now_mps = np.abs(now.speed_mps[row])
     most_m = np.maximum(before_mps, now_mps) * dt_s + JUMP_M
     return row[(moved_m > most_m) & (now.shape[row] != Shape.PEDESTRIAN)]
 
@@ -131,17 +132,21 @@ def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
     if not near.any():
         return np.zeros(0, np.int64)
     a, b, between = a[near], b[near], between[near]
-    height_m = boxes.lwh_m[:, 2]
-    above_m = np.abs(boxes.xyz_m[a, 2] - boxes.xyz_m[b, 2])
-    apart = above_m > (height_m[a] + height_m[b]) / 2 - INSIDE_M / 2
-    yaw_rad = boxes.yaw_rad
+    z_m, height_m = boxes.xyz_m[:, 2], boxes.lwh_m[:, 2]
+    above_m = np.abs(z_m[a] - z_m[b])
+    together_m = height_m[a] + height_m[b]
+    apart = above_m > together_m / 2 - INSIDE_M / 2
+    yaw_a, yaw_b = boxes.yaw_rad[a], boxes.yaw_rad[b]
     half_l, half_w, _ = boxes.lwh_m.T / 2
-    for axis_rad in (yaw_rad[a], yaw_rad[a] + np.pi / 2, yaw_rad[b], yaw_rad[b] + np.pi / 2):
+    quarter_rad = np.pi / 2
+    for axis_rad in (yaw_a, yaw_a + quarter_rad, yaw_b, yaw_b + quarter_rad):
         axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
         reach = np.zeros(len(a))
-        for row in (a, b):
-            turn = yaw_rad[row] - axis_rad
-            reach += half_l[row] * np.abs(np.cos(turn)) + half_w[row] * np.abs(np.sin(turn))
+        for row, yaw_rad in ((a, yaw_a), (b, yaw_b)):
+            turn = yaw_rad - axis_rad
+            along = np.abs(np.cos(turn))
+            across = np.abs(np.sin(turn))
+            reach += half_l[row] * along + half_w[row] * across
         apart |= np.abs((between * axis).sum(axis=1)) > reach - INSIDE_M
     return np.unique(np.concatenate([a[~apart], b[~apart]]))
 

@@ -244,8 +244,9 @@ class TraceReplay(_Replay):
             if large.size:
                 row, axis = large[0].tolist()
                 what = tuple(LARGEST_M)[axis]
+                found_m = own_m[row, axis]
                 raise TrafficError(
-                    f"{self._source}: {names[row]!r} has {what} = {own_m[row, axis]:g} m; at most "
+                    f"{self._source}: {names[row]!r} has {what} = {found_m:g} m; at most "
                     f"{LARGEST_M[what]:g} m are possible. Correct the trace."
                 )
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)

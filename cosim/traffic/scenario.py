@@ -147,7 +147,9 @@ class Scenario:
             about["origin"] = "{:.0f} m east, {:.0f} m north of the network's own".format(*self.origin_m)
         if self.warmup_s:
             about["warm-up"] = f"{self.warmup_s:g} s, unless traffic.warmup_s is set"
-        return about | {f"sha256 {name}": sha256(path) for name, path in self._named_inputs().items()}
+        for name, path in self._named_inputs().items():
+            about[f"sha256 {name}"] = sha256(path)
+        return about
 
     def changed_inputs(self, provenance: dict[str, str]) -> list[str]:
         """Names of the files whose content has changed since an earlier run of this scenario, by its provenance."""

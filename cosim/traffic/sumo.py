@@ -302,7 +302,10 @@ def sumo_options(params: TrafficParams, config: Path, scratch: Path, has_driver:
         **({} if params.begin_s is None else {"begin": params.begin_s}),
         **({} if params.scale == 1 else {"scale": params.scale * files.scale}),
     }
-    return [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    words = []
+    for name, value in options.items():
+        words += [f"--{name}", str(value)]
+    return words
 
 
 def _prefix(scratch: Path) -> str:

@@ -130,7 +130,8 @@ class Simulator:
                 new.append(_new(domain, names[row]))
             parts.append(domain.read(names, number))
         self._n_known += len(new)
-        number, front_m, angle, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+        columns = zip(*parts, strict=True)
+        number, front_m, angle, speed = map(np.concatenate, columns)
         n_waiting = len(libsumo.simulation.getPendingVehicles())
         return Snapshot(new, number, front_m, angle, speed, n_waiting, self._n_teleports, len(self._collisions))
 
