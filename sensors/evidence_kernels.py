@@ -178,18 +178,19 @@ def _free_space(allowed, begin, end, given):
     """Write what `free_space` returns, for the pairs of the runs `begin` to `end`."""
     range_steps, step_m, beams, pairs, run, area, margin_m, least_share = given
     room = np.empty((4, 3)), np.empty((4, 3))
+    view = beams, columns_of(beams), slopes_of(beams)
     for i in range(begin, end):
         first, end_of_run = run[i], run[i + 1]
         sweep = range_steps[pairs.o[first]]
-        _free_space_of(allowed, sweep, step_m, beams, pairs, first, end_of_run, area, margin_m, least_share, room)
+        _free_space_of(allowed, sweep, step_m, view, pairs, first, end_of_run, area, margin_m, least_share, room)
 
 
 @kernel
-def _free_space_of(allowed, sweep, step_m, beams, pairs, first, end, area, margin_m, least_share, room):
+def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin_m, least_share, room):
     """Write what `free_space` returns, for the pairs `first` to `end` of one sweep."""
     reach_m, height_m, slope = area
     corner, plane = room
-    columns, slopes = columns_of(beams), slopes_of(beams)
+    beams, columns, slopes = view
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
         if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):

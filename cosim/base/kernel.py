@@ -146,10 +146,12 @@ def _say(value: Any, said: list[str], called: list[FunctionType]) -> None:
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _COUNTLESS: dict[str, Any] = _OPTIONS | {"_nrt": False}
+_COUNTED: dict[str, Any] = _OPTIONS | {"_nrt": True}
+"""Where nothing is said, Numba compiles a function as the first of its callers, and others get the same code."""
 
-compiled = njit(**_OPTIONS)
-"""Decorator: compiled, cached."""
-parallel = njit(**_OPTIONS, parallel=True)
+compiled = njit(**_COUNTED)
+"""Decorator: compiled, cached; not for functions that a kernel calls."""
+parallel = njit(**_COUNTED, parallel=True)
 """Decorator: the same, with `prange` over threads."""
 kernel = njit(**_COUNTLESS)
 """Decorator: compiled, cached; must neither allocate nor return arrays, which callers would release once too often."""

@@ -1,17 +1,26 @@
 """Compiled functions lie in a cache. What an earlier version of the program has left there does no harm."""
 
 import fcntl
+import importlib
 import os
 import pickle
+import pkgutil
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import pytest
 from numba.core import caching
+from numba.core.dispatcher import Dispatcher
 
-import cosim.base.kernel  # noqa: F401  which gives Numba its index
+import cosim
+import results
+import sensors
+import sumo_nets
+import trust
+from cosim.base import kernel  # which gives Numba its index
 
 MINE = """
 from typing import NamedTuple
@@ -123,3 +132,20 @@ def test_what_a_cached_function_calls_may_change_in_other_files(tmp_path):
     pairs.write_text(PAIR.replace("a: int\n    b", "b: int\n    a"))
     assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 0\n"
     assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 1\n"
+
+
+def test_no_kernel_calls_a_function_with_reference_counts():
+    """A kernel does not release what such a function returns. And Numba, asked for neither, compiles a function as its
+    first caller is: once, and for all callers. Arrays were then released twice, if the first one was a kernel."""
+    functions = {}
+    for root in (cosim, results, sensors, sumo_nets, trust):
+        for module in pkgutil.walk_packages(root.__path__, f"{root.__name__}."):
+            with suppress(ImportError):  # an extra that is not installed
+                found = vars(importlib.import_module(module.name)).values()
+                functions |= {one.py_func: one for one in found if isinstance(one, Dispatcher)}
+    counts = {function: one.targetoptions["_nrt"] for function, one in functions.items()}
+    assert len(counts) > 100
+    for function, counted in counts.items():
+        _, called = kernel._content(function)
+        wrong = [one.__name__ for one in called if counts.get(one)]
+        assert counted or not wrong, f"{function.__name__} calls {', '.join(wrong)}"
