@@ -7,7 +7,7 @@ a bridge and the street below. Definitions follow SUMO's SSM device, against whi
 """
 
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -144,7 +144,7 @@ def encroachments(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     scaled_time = ways.step * run.dt_s * scale
     near = _near(np.column_stack([ways.start_m + ways.way_m / 2, scaled_time]), reach_m)
     nothing = np.zeros((0, 2), int)
-    found = [_crossing(pairs, ways) for pairs in (nothing, *near)]
+    found = [_crossing(pairs, ways) for pairs in chain([nothing], near)]  # one stretch of pairs at a time in memory
     i, j, u, v = map(np.concatenate, zip(*found, strict=True))
     at_i = (ways.step[i] + u) * run.dt_s
     at_j = (ways.step[j] + v) * run.dt_s
