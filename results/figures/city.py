@@ -54,15 +54,6 @@ def draw(
     axes.set_ylim(low[1] - margin, high[1] + margin)
     style.map_panel(axes, title)
     if attribution:
-        axes.annotate(
-            attribution,
-            (1, 0),
-            xycoords="axes fraction",
-            xytext=(-3, 3),
-            textcoords="offset points",
-            ha="right",
-            fontsize=style.SMALLEST,
-            color="#444444",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1},
-        )
+        credit = style.credit(axes, attribution)
+        credit.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1})
     return figure

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.text import Annotation
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from cosim.base import durable
@@ -399,6 +400,20 @@ def map_panel(axes: Axes, title: str) -> None:
     axes.set_xlim(_widened(axes.get_xlim(), height_m))
     axes.set_ylim(_widened(axes.get_ylim(), width_m))
     axes.grid(visible=False)
+
+
+def credit(axes: Axes, text: str) -> Annotation:
+    """Whose data a map shows, in its lower right corner."""
+    return axes.annotate(
+        text,
+        (1, 0),
+        xycoords="axes fraction",
+        xytext=(-3, 3),
+        textcoords="offset points",
+        ha="right",
+        fontsize=SMALLEST,
+        color="#444444",
+    )
 
 
 def _widened(side: tuple[float, float], other_m: float) -> tuple[float, float]:

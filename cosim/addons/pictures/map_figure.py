@@ -53,16 +53,7 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
         style.map_panel(axes, f"{title}\n{_definition(run)}")
     credits = {run.manifest.get("net", {}).get("attribution") for run in runs}
     if text := ", ".join(sorted(filter(None, credits))):
-        panels[-1].annotate(
-            text,
-            (1, 0),
-            xycoords="axes fraction",
-            xytext=(-3, 3),
-            textcoords="offset points",
-            ha="right",
-            fontsize=style.SMALLEST,
-            color="#444444",
-        )
+        style.credit(panels[-1], text)
     label = f"Encounters begun per hour in {cell_m:g} m cells"
     bar = figure.colorbar(mesh, ax=panels, label=label, location="bottom", shrink=0.8, aspect=30)
     ticks = []
