@@ -5,6 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 
 from cosim.addons.compare.scenarios import FOLDER, ScriptedScene
+from cosim.base.deferred import Deferred
 from cosim.config.config import load
 from cosim.radio.rsu import NO_RSUS
 from cosim.step.cycle import step
@@ -52,6 +53,8 @@ def assert_same(one, other, where="", leave_out=("sweeps",)):
         assert one.keys() == other.keys(), where
         for key in one:
             assert_same(one[key], other[key], f"{where}[{key}]", leave_out)
+    elif isinstance(one, Deferred):
+        assert_same(one(), other(), where, leave_out)
     elif isinstance(one, np.ndarray):
         np.testing.assert_array_equal(one, other, where)
     elif isinstance(one, float):

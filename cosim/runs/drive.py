@@ -87,7 +87,7 @@ class Drive:
     _next: World | None = None
     """World of the next step, if it has been read already."""
     _recording: Future[None] | None = None
-    """The rows of the step before, if another thread records them."""
+    """What is fused in the step before, and its rows, if another thread computes and records them."""
     _watch: Stopwatch = field(default_factory=Stopwatch)
     """Of that thread."""
 
@@ -136,10 +136,12 @@ class Drive:
                 self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
             with self.parts.watch("record"):
                 self._wait_for_rows()
-                if recording_thread is not None and numba.get_num_threads() > 1 and threads_may_meet():
-                    self._recording = recording_thread.submit(self._record_beside, result)
-                else:
-                    self._record(result)
+            n_threads = numba.get_num_threads()
+            if recording_thread is not None and n_threads > 1 and threads_may_meet():
+                self._recording = recording_thread.submit(self._record, result, self._watch, n_threads)
+            else:
+                self._record(result, self.parts.watch, n_threads)
+            with self.parts.watch("record"):
                 commands = result.commands.actor, result.commands.speed_mps
                 if len(result.commands):
                     self._of_block[number] = commands
@@ -165,16 +167,16 @@ class Drive:
         if self.broken is not None:
             raise self.broken
 
-    def _record(self, result: StepResult) -> None:
-        """Append the rows of a step. They depend on its result only, so the next step may go on meanwhile."""
-        recording.step(self.recorder, result, self.parts.config.traffic.step_s)
-        self.recorder.reach(result.world.step)
+    def _record(self, result: StepResult, watch: Stopwatch, n_threads: int) -> None:
+        """Fuse, and append the rows of a step. Both depend on its result only, so the next step may go on meanwhile."""
+        numba.set_num_threads(n_threads)  # a setting of each thread
+        if result.sensed is not None:
+            with watch("fuse"):
+                result.sensed.fused()
+        with watch("record"):
+            recording.step(self.recorder, result, self.parts.config.traffic.step_s)
+            self.recorder.reach(result.world.step)
         self.manifest.steps = result.world.step + 1
-
-    def _record_beside(self, result: StepResult) -> None:
-        """Append the rows of a step in the thread that records."""
-        with self._watch("record"):
-            self._record(result)
 
     def _wait_for_rows(self) -> None:
         """Wait until the rows of the step before are appended, and raise what has gone wrong."""

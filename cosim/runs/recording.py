@@ -124,7 +124,7 @@ def step(recorder: TakesRows, result: StepResult, dt_s: float) -> None:
     _fused(recorder, world, sensed)
     _early(recorder, world, sensed)
     units = world.actor[world.is_roadside]
-    for rows in sensed.attack_outcomes:
+    for rows in sensed.attack_outcomes():
         recorder.append("attack_outcomes", now_step, _without(np.isin(rows["receiver"], units), rows))
 
 
@@ -694,7 +694,7 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     known = sensed.known
     listed, pseudonym = known.objects, known.pseudonym[known.detections.message]
     is_unit = world.is_roadside[sensed.sensing.row]
-    for variant, fused in enumerate(sensed.fused):
+    for variant, fused in enumerate(sensed.fused()):
         if fused is None:
             continue
         ego, seed, pose = fused.ego, fused.seed, fused.pose
@@ -770,7 +770,7 @@ def _moved(sensed: Sensed, fused: Fused) -> Rows:
     moved = np.zeros((len(fused.ego), 7))
     if known.moved_m is not None:
         moved[:, :2] = known.moved_m[fused.pose]
-    if all(f is None or f.box is None for f in sensed.fused):
+    if all(f is None or f.box is None for f in sensed.fused()):
         return {} if known.moved_m is None else {"moved_x_m": moved[:, 0], "moved_y_m": moved[:, 1]}
     if fused.box is not None:
         was = known.objects.boxes.take(fused.seed)

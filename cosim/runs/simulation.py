@@ -283,7 +283,7 @@ class SimulatedStep:
                 frame[name] = detections[name].reindex(named[column.via]).array
         is_unit = self.result.world.is_roadside[sensed.sensing.row]
         boxes = []
-        for found in sensed.fused:
+        for found in sensed.fused():
             if found is not None:
                 driven = np.flatnonzero(~is_unit[found.ego])
                 boxes.append(boxes_of(found, known.objects).take(driven))

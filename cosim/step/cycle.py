@@ -8,6 +8,8 @@ second round of this length. Then every vehicle fuses with the trust that it kno
 evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the
 round of evaluations.
 
+Only drivers make a later step depend on what vehicles fuse. Without them, a run fuses beside the next step.
+
 A message may outlast its round: its frames wait for the channel. It then arrives in a round of a later step
 (`cosim.step.late`). A detection message is too old at t + timeout (`radio.timeout_s`), an evaluation message at
 t + 2 timeout.
@@ -20,10 +22,12 @@ fuses with its own evaluations only. They are in time for trust.
 """
 
 from dataclasses import replace
+from functools import partial
 
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.base.deferred import Deferred
 from cosim.radio.message_round import RoundKind
 from cosim.step import tracking
 from cosim.step.attack_outcomes import attack_outcomes
@@ -168,7 +172,10 @@ def _cycle(
         )
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))
-        fused = fuse_objects(trust, groups, evaluations, looked_up, parts)
+        scorers = parts.trust.scorers(trust)
+        fused = Deferred(partial(fuse_objects, scorers, groups, evaluations, looked_up, parts))
+        if config.driver.model != "none" or any(scorer is not None for scorer in scorers):
+            fused()  # drivers react to it, or it depends on models that the next step changes
         received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
         received_reports = carrier.receptions.vehicles
         if carry_evaluations == RoundKind.CPM:
@@ -183,7 +190,7 @@ def _cycle(
     beliefs, reaction_truth = None, s.reaction_truth
     if config.driver.model != "none":
         with watch("driver"):
-            beliefs = beliefs_of(fused[0], exchange, known, world, positioned.error)
+            beliefs = beliefs_of(fused()[0], exchange, known, world, positioned.error)
             kept_s = memory_s(parts.driver) + parts.schedule.longest_steps * config.traffic.step_s
             reaction_truth = reaction_truth.next(exchange, listed, kept_s, config.traffic.step_s)
     with watch("track"):
@@ -191,7 +198,7 @@ def _cycle(
         attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
         inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, rounds)
         encounters = tracking.count_in_encounters(s.encounters, exchange, rounds, looked_up, known, compared)
-        outcomes = attack_outcomes(exchange, positioned.world, known, compared, fused)
+        outcomes = Deferred(lambda: attack_outcomes(exchange, positioned.world, known, compared, fused()))
     sensed = Sensed(
         vehicles=vehicles,
         sensing=exchange.sensing,

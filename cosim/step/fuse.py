@@ -11,7 +11,7 @@ from numpy import ndarray
 from cosim.base.ragged import ptr_of, stable_order
 from cosim.base.threads import threads_for
 from cosim.messages.content import Detections
-from cosim.messages.trust_hosts import TrustState
+from cosim.messages.trust_hosts import ObjectScorer
 from cosim.step.comparing import ObjectGroups
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
@@ -31,7 +31,7 @@ _ROWS_PER_FUSED = 6
 
 
 def fuse_objects(
-    trust: TrustState,
+    scorers: Sequence[ObjectScorer | None],
     groups: ObjectGroups,
     evaluations: tuple[ObjectLists, Evaluations, Evaluations],
     looked_up: LookedUp,
@@ -39,7 +39,8 @@ def fuse_objects(
 ) -> list[Fused | None]:
     """Fused objects of every vehicle that senses, per trust variant; None if they are not requested.
 
-    `evaluations` are those that the vehicles can use, as `Inbox.evaluations_used` returns them.
+    `scorers` are the methods of the variants' models that score objects, as `TrustHosts.scorers` returns them, and
+    `evaluations` those that the vehicles can use, as `Inbox.evaluations_used` returns them.
     """
     hosts = parts.trust
     given = FusionInput(groups.lists, groups.groups, groups.detections, *evaluations)
@@ -49,7 +50,6 @@ def fuse_objects(
     fused: dict[int, Fused] = {}
     votes = None
     numbers_by_mode: dict[str, list[int]] = defaultdict(list)  # variants whose boxes are fused from all detections
-    scorers = hosts.scorers(trust)
     for number, sender_trust in trust_of.items():
         params, scorer = hosts.variants[number].trust, scorers[number]
         if scorer is not None and votes is None:

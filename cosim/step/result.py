@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from cosim.base.deferred import Deferred
 from cosim.messages.pseudonyms import PseudonymUse
 from cosim.messages.trust_hosts import ServerTraffic
 from cosim.step.early_fusion import Early
@@ -43,15 +44,15 @@ class Sensed:
     """Vehicles in range, for the same two rounds."""
     evaluated: Evaluated
     looked_up: LookedUp
-    fused: list[Fused | None]
-    """Fused objects per trust variant; None if they were not requested."""
+    fused: Deferred[list[Fused | None]]
+    """Fused objects per trust variant; None if they were not requested. A run computes them beside the next step."""
     early: Early | None
     """What vehicles detect in merged point clouds; None without `[early_fusion]`."""
     published: list[TrustScores | None]
     """Per trust variant, the values that its server computed in this step."""
     servers: list[ServerTraffic | None]
     """Per trust variant, the traffic from and to its server; None if it has no server."""
-    attack_outcomes: list[Rows]
+    attack_outcomes: Deferred[list[Rows]]
     """Columns of the table `attack_outcomes`, per trust variant that fuses."""
 
 

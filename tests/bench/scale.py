@@ -135,6 +135,9 @@ def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registr
             if number == n_warm:
                 parts, begin = replace(parts, watch=watch), (perf_counter(), process_time())  # type: ignore[arg-type]
             state, result = step(world, state, parts)
+            if result.sensed is not None:
+                with watch("fuse"):
+                    result.sensed.fused()
             with watch("record"):
                 recording.step(recorder, result, config.traffic.step_s)
                 recorder.reach(world.step)

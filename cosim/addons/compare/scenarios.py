@@ -152,7 +152,7 @@ def scenario_1(*, thing: str, checked: Sequence[bool], method: Method) -> list[f
 
 def _fused_scores(sensed: Sensed) -> dict[str, float]:
     """The ego's final scores for objects that it did not detect itself."""
-    fused, listed = sensed.fused[0], sensed.listed.objects
+    fused, listed = sensed.fused()[0], sensed.listed.objects
     assert fused is not None
     foreign = fused.take((fused.ego == EGO) & ~fused.ego_detected)
     found = {}

@@ -32,7 +32,7 @@ def frame(name="scenario-1", **options):
 
 def final(sensed):
     """The ego's fused objects: class, fabricated, score, detected by the ego."""
-    fused, listed = sensed.fused[0], sensed.listed.objects
+    fused, listed = sensed.fused()[0], sensed.listed.objects
     own = np.flatnonzero(fused.ego == EGO)
     seed = fused.seed[own]
     columns = listed.label[seed], listed.origin[seed] == FABRICATED, fused.score[own], fused.ego_detected[own]

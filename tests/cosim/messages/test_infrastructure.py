@@ -112,7 +112,7 @@ def test_piggybacked_evaluations_come_a_step_later():
         assert np.array_equal(a.pairs, b.pairs) and np.array_equal(a.sums, b.sums)
     assert not one.rejected.any() and not other.rejected.any()
     # In fusion each has its own evaluations only.
-    fused = carried[3].fused[0].n_evaluations, alone[3].fused[0].n_evaluations
+    fused = carried[3].fused()[0].n_evaluations, alone[3].fused()[0].n_evaluations
     assert fused[0].max(initial=0) <= fused[1].max() and fused[0].sum() < fused[1].sum()
 
 

@@ -64,7 +64,7 @@ def of_fused(sensed, world):
 
     Objects of which the receiver, or another vehicle in a message, has two boxes are left out, as above.
     """
-    fused, truth, senses = sensed.fused[0], sensed.known.truth, sensed.sensing.row
+    fused, truth, senses = sensed.fused()[0], sensed.known.truth, sensed.sensing.row
     actor, ego = truth.actor_row[fused.seed], senses[fused.ego]
     key = fused.ego.astype(np.int64) << 32 | actor
     _, inverse, n = np.unique(key, return_inverse=True, return_counts=True)

@@ -65,7 +65,7 @@ def test_fused_scores_are_means_weighted_by_the_trust_that_is_held(monkeypatch):
     monkeypatch.setattr(cycle, "fuse_objects", noted)
     n_checked = 0
     for sensed, state, parts in played(14, "trust.method=averaging", *LOSSES):
-        groups, fused, further = given[-1], sensed.fused[0], sensed.looked_up.further
+        fused, groups, further = sensed.fused()[0], given[-1], sensed.looked_up.further
         trust = dict(zip(pairs_of(further), held(sensed, state, parts, further).tolist(), strict=True))
         lists, detections, number = groups.lists, groups.detections, groups.groups.numbers()
         for ego, group, score in zip(fused.ego, fused.group, fused.score, strict=True):
