@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.base.threads import threads_for
 from cosim.messages.content import FABRICATED
 from cosim.step.accuracy import ALONG_BOTH, pose_variance
 from cosim.step.exchange import Exchange, Senders
@@ -29,9 +28,6 @@ from trust.fusion import SensorEvidence
 from trust.matching import match_each
 from trust.params import TrustParams
 from trust.tables import Evaluations, Groups, ObjectLists, SentDetections
-
-_ROWS_PER_BOX = 10
-"""Finding the boxes that overlap one box costs as much as this number of rows of a table."""
 
 
 class FabricatedDetections(NamedTuple):
@@ -208,19 +204,18 @@ def _pairs(messages: Known, n_now: int, params: TrustParams) -> Pairs:
     now, earlier = slice(0, n_now), slice(n_now, None)
     gate = None if params.matching == "iou" else Gate(1.0 - params.gate_p, params.tau)
     boxes_now, boxes_earlier = boxes.take(now), boxes.take(earlier)
-    with threads_for(_ROWS_PER_BOX * n_now):
-        if gate is None:
-            within = overlapping_pairs(boxes_now, label[now], message[now])
-        else:
-            within = pairs_within(boxes_now, label[now], variance_m2[now], message[now], gate)
-        if n_now == len(boxes):
-            return within
-        if gate is None:
-            i, j, iou = pairs_between(boxes_now, label[now], boxes_earlier, label[earlier])
-        else:
-            of_now = boxes_now, label[now], variance_m2[now]
-            of_earlier = boxes_earlier, label[earlier], variance_m2[earlier]
-            i, j, iou = pairs_across(*of_now, *of_earlier, gate)
+    if gate is None:
+        within = overlapping_pairs(boxes_now, label[now], message[now])
+    else:
+        within = pairs_within(boxes_now, label[now], variance_m2[now], message[now], gate)
+    if n_now == len(boxes):
+        return within
+    if gate is None:
+        i, j, iou = pairs_between(boxes_now, label[now], boxes_earlier, label[earlier])
+    else:
+        of_now = boxes_now, label[now], variance_m2[now]
+        of_earlier = boxes_earlier, label[earlier], variance_m2[earlier]
+        i, j, iou = pairs_across(*of_now, *of_earlier, gate)
     columns = zip(within, (i, n_now + j, iou), messages.earlier_pairs, strict=True)
     one, other, overlap = (np.concatenate(column) for column in columns)
     return one, other, overlap

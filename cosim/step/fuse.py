@@ -9,7 +9,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.base.ragged import ptr_of, stable_order
-from cosim.base.threads import threads_for
 from cosim.messages.content import Detections
 from cosim.messages.trust_hosts import ObjectScorer
 from cosim.step.comparing import ObjectGroups
@@ -25,9 +24,6 @@ from sensors.boxes import Boxes
 from trust.fusion import Fused, fuse, votes_of
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust
-
-_ROWS_PER_FUSED = 6
-"""To fuse the box of one detection costs as much as this number of rows of a table."""
 
 
 def fuse_objects(
@@ -128,8 +124,7 @@ def _with_boxes(
         is_wanted[objects.group] = True
         wanted.append(is_wanted)
     views = ObjectViews(groups.boxes, detections.label, detections.message, groups.accuracy)
-    with threads_for(_ROWS_PER_FUSED * len(lists.member) * len(fused)):
-        boxes = fuse_boxes(views, known, weights, wanted, mode == "aligned")
+    boxes = fuse_boxes(views, known, weights, wanted, mode == "aligned")
     found = {}
     for of_variant, (number, objects), fused_boxes in zip(params, fused.items(), boxes, strict=True):
         score = objects.score
