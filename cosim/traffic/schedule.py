@@ -121,11 +121,9 @@ class Schedule:
         """
         from cosim.base import rng  # compiles kernels; every reading of a config imports this module
 
-        n = len(name_key)
-        interval = np.full(n, self.interval_steps[-1])
-        phase = np.zeros(n, np.int64)
         of_sensing = rng.key(self.seed, rng.Stream.SENSING)
         group, within = rng.uniforms(of_sensing, name_key, n=2).T
         number = np.searchsorted(self.until_p[:-1], group, "right")
         interval = np.asarray(self.interval_steps)[number]
-        return interval, (within * interval).astype(np.int64) if self.is_random else phase
+        phase = (within * interval).astype(np.int64) if self.is_random else np.zeros(len(name_key), np.int64)
+        return interval, phase

@@ -133,7 +133,6 @@ def street_of_tracks(n_vehicles: int, n_seen: int = 15) -> tuple[TrackMemory, Ob
 def _measure(scene, boxes, shape, observers, runs) -> list[tuple[str, float, str]]:
     keys = np.arange(len(observers), dtype=np.uint64)
     clean = LidarParams(range_sigma_m=0.0)
-    walls = WallIndex.of(scene.buildings)
     sweeps = scan(boxes, shape, observers, scene, clean, keys)
     rays = sweeps.hit.size
     columnar = least_s(lambda: scan(boxes, shape, observers, scene, clean, keys, sweeps), runs)

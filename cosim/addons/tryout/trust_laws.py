@@ -69,7 +69,7 @@ def findings(stage: Stage) -> tuple[list[Finding], Observations]:
     def played(rows: list[Reception], late_steps: int = 0, reverse: bool = False, ask: bool = False) -> TrustScores:
         return _played(new_model(), steps, rows, late_steps, reverse, ask, seen)
 
-    plain = played(receptions)
+    played(receptions)  # compiles
     begin_s = time.perf_counter()
     plain = played(receptions)
     seen.seconds, seen.n_calls = time.perf_counter() - begin_s, len(steps)

@@ -105,7 +105,7 @@ def test_kitti_regions_without_labels(run, tmp_path):
     assert line[:4] == ["DontCare", "-1", "-1", "-10"]
     assert line[8:] == ["-1", "-1", "-1", "-1000", "-1000", "-1000", "-10"]
     # it is 0.5 m wide and deep and 1.75 m high: from 0.75 to 1.25 m right, 1.73 m below the camera to 0.02 m above
-    left, top, right, bottom = 960 + 960 * 0.75 / 10.25, 540 - 960 * 0.02 / 9.75, 960 + 960 * 1.25 / 9.75, 0
+    left, top, right = 960 + 960 * 0.75 / 10.25, 540 - 960 * 0.02 / 9.75, 960 + 960 * 1.25 / 9.75
     bottom = 540 + 960 * 1.73 / 9.75
     assert [float(x) for x in line[4:8]] == pytest.approx([left, top, right, bottom], abs=2.5)
 
