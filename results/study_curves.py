@@ -62,7 +62,7 @@ def _ages(run: Run) -> pd.DataFrame:
 def survival(frame: pd.DataFrame, at_s: Float[ndarray, "k"]) -> Float[ndarray, "k"]:
     """Share that lasts longer than each of these times (Kaplan and Meier 1958), of one sample's `counts`.
 
-    NaN after the last observation, where nothing is known.
+    NaN after the last observation, unless it is the end of the last one: none lasts longer then.
     """
     ordered = frame.groupby("value_s")[["n", "n_open"]].sum().sort_index()
     value_s = ordered.index.to_numpy(float)
@@ -72,7 +72,8 @@ def survival(frame: pd.DataFrame, at_s: Float[ndarray, "k"]) -> Float[ndarray, "
     share = np.append(1.0, np.cumprod(1 - n / np.maximum(at_risk, 1.0)))
     found: ndarray = share[np.searchsorted(value_s, at_s, "right")]
     last_s = value_s[-1] if len(value_s) else -np.inf
-    return np.where(at_s <= last_s, found, np.nan)
+    is_known = (at_s <= last_s) | (found == 0)
+    return np.where(is_known, found, np.nan)
 
 
 def pooled(frame: pd.DataFrame, until_s: float = 0.0) -> pd.DataFrame:

@@ -219,6 +219,13 @@ def test_pooled_survival_by_hand():
     assert found.high.tolist() == pytest.approx([1, 1, 1 / 3, 1 / 3, 0])
 
 
+def test_a_replicate_whose_encounters_have_all_ended_stays_in_the_band():
+    """Replicate 0: 1, 2; replicate 1: 2, 3, 4. At 3 s, 1/5 of all are left, and 0 and 1/3 of each."""
+    rows = [(0, 1.0, 1, 0), (0, 2.0, 1, 0), (1, 2.0, 1, 0), (1, 3.0, 1, 0), (1, 4.0, 1, 0)]
+    found = pooled(pd.DataFrame(rows, columns=["replicate", "value_s", "n", "n_open"])).set_index("value_s").loc[3]
+    assert found.tolist() == pytest.approx([1 / 5, 0, 1 / 3])
+
+
 @given(st.lists(st.tuples(st.integers(1, 9), st.booleans()), min_size=1, max_size=30))
 def test_survival_of_counts_is_that_of_single_durations(sample):
     lasted_s, over = np.array([x for x, _ in sample], float), np.array([x for _, x in sample])
