@@ -19,16 +19,16 @@ from results.metrics.compare import flat
 from results.study import is_study, open_study
 
 
-def measured_by(frame: pd.DataFrame) -> dict[str, float]:
-    """Values of the predicted metrics in the measures of one run: columns metric, group, value."""
+def measured_by(frame: pd.DataFrame, definition: str) -> dict[str, float]:
+    """Values of the predicted metrics in the measures of one run: columns metric, group, value.
+
+    Of encounters, they are those of the definition of this name.
+    """
     found = {}
     for name in METRICS:
         metric, _, state = name.partition(":")
-        rows = frame[frame.metric == metric]
-        if state:
-            rows = rows[rows.group == f"{state}, all"]
-        elif (rows.group == "all").any():
-            rows = rows[rows.group == "all"]
+        groups = [f"{state}, all"] if state else ["", "all", definition]
+        rows = frame[(frame.metric == metric) & frame.group.isin(groups)]
         if len(rows):
             found[name] = float(rows.value.iloc[0])
     return found
@@ -96,12 +96,12 @@ def measured_in(folder: Path, predictions: Predictions) -> list[dict[str, float]
         for _, p in predictions:
             of_variant = {}
             if p.variant in there:
-                of_variant = measured_by(measure(run.as_variant(p.variant)))
+                of_variant = measured_by(measure(run.as_variant(p.variant)), p.definition)
             found.append(of_variant)
         return found
     measures = open_study(folder).measures
     measures = measures[measures.replicate == 0]
-    for keys, _ in predictions:
+    for keys, p in predictions:
         rows = pd.Series(True, index=measures.index)
         for key, value in keys.items():
             if key in measures:
@@ -109,7 +109,7 @@ def measured_in(folder: Path, predictions: Predictions) -> list[dict[str, float]
                 rows &= column == (
                     value if column.dtype.kind in "fbiu" or isinstance(value, str) else json.dumps(value)
                 )
-        found.append(measured_by(measures[rows]))
+        found.append(measured_by(measures[rows], p.definition))
     return found
 
 

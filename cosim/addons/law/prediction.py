@@ -1,9 +1,10 @@
 """The predicted metrics of one trust server, from what a replay of the traffic has found."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -11,6 +12,7 @@ from cosim.addons.law import law
 from cosim.addons.law.closed_form import Company, closed_form
 from cosim.addons.law.scope import Server
 from cosim.config.config import Config
+from results.metrics.encounters import DEFINITION, named
 
 _LEAST = 1e-9
 """A value below this is 0: chances that are certain differ from 1 by as much (`fleet`)."""
@@ -36,6 +38,8 @@ class Prediction:
     high: dict[str, float] = field(default_factory=dict)
     closed: dict[str, float] = field(default_factory=dict)
     """Median and 90th percentile by the closed form."""
+    definition: str = ""
+    """Name of the definition of an encounter that counts, which is a group of the metric of a run."""
 
 
 METRICS = {
@@ -127,6 +131,7 @@ def predicted(
     window = min(server.window_steps, n_steps)
     closed = closed_form(found.company, gate.period_steps, window, loss_p, n_steps + 1, every)
     median, p90 = list(METRICS)[:2]
+    definitions = pd.DataFrame(map(asdict, config.encounters), columns=[*DEFINITION])
     return Prediction(
         variant=server.name,
         period_s=server.period_s,
@@ -140,6 +145,7 @@ def predicted(
             median: law.quantile(age_s, closed, 0.5),
             p90: law.quantile(age_s, closed, 0.9),
         },
+        definition=next(iter(named(definitions)), ""),
     )
 
 

@@ -4,10 +4,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cosim.addons.law import freshness
-from cosim.addons.law.comparison import differences
+from cosim.addons.law.comparison import differences, measured_by
 from cosim.addons.law.prediction import MODEL_ERROR, Prediction, with_intervals
 from cosim.addons.law.scope import left_out, server_of, servers_of
 from cosim.config.config import load, resolve_data, with_defaults
@@ -207,6 +208,15 @@ def test_a_run_of_another_config_is_told_apart(run):
     (line,) = found("trust.server_period_s=1.5")
     assert line.startswith("trust.server_period_s = ") and line.endswith(" instead of 1.5")
     assert ["trust_variant.7 s.freshness_s = 15 instead of 9"] == found("trust_variant.0.freshness_s=9")
+
+
+def test_encounters_of_the_definition_that_is_predicted_are_compared(tmp_path):
+    """The law counts those of the first definition; measures are sorted by radius."""
+    names, share = ["equipped, 50 m", "equipped, 200 m"], "freshness.encounters_without_trust.share"
+    frame = pd.DataFrame({"metric": share, "group": names, "value": [0.25, 0.5]})
+    two = config_of(fleet={"penetration_p": 1}, encounters=[{"radius_m": 200}, {"radius_m": 50}])
+    (predicted,) = freshness.predict(two, lambda *_: None).predictions
+    assert predicted.definition == names[1] and measured_by(frame, predicted.definition) == {share: 0.5}
 
 
 def test_a_study_is_compared_with_one_of_the_same_keys(tmp_path):
