@@ -34,6 +34,7 @@ def servers_of(config: Config) -> list[Server]:
     for key, value, allowed in (
         ("sensing", config.sensing, (True,)),
         ("driver.model", config.driver.model, ("none",)),
+        ("early_fusion.share", config.early_fusion.share, ("none",)),
         ("radio.evaluations", config.radio.evaluations, ("alone",)),
         ("radio.propagation.blockage", config.radio.propagation.blockage, ("probabilistic", "none")),
         ("sensing_phase", config.sensing_phase, ("common", "random")),
@@ -87,6 +88,10 @@ def left_out(config: Config) -> list[str]:
         found.append("attacks: the law takes all vehicles for honest; ghosts and lies add evaluations.")
     if config.trust.least_score > 0:
         found.append("trust.least_score: the law takes all detections for evidence, whatever their score.")
+    if len(config.trust.evidence) > 1:
+        found.append("trust.evidence: the law takes detections alone for evidence.")
+    if config.lidar.dropout_p > 0:
+        found.append("lidar.dropout_p: the law takes no ray for lost.")
     if any(config.trust.gamma_lower_points):
         found.append("trust.gamma_lower_points: the law takes one return of an object for enough to see it.")
     if config.gnss.std_m > 0:

@@ -60,6 +60,7 @@ def config_of(**changes):
         {"cpm": {"max_objects": 2}},
         {"server": {"outages": [[1, 2]]}},
         {"sensing": False},
+        {"early_fusion": {"share": "objects"}},
     ],
 )
 def test_what_the_law_does_not_cover_is_refused_in_one_line(changes):
@@ -75,6 +76,8 @@ def test_servers_by_hand():
     off = server_of("x", replace(config.trust, freshness_s="off"), config)
     assert off.window_s == np.inf and off.window_steps > 10**6
     assert left_out(config) == [] and len(left_out(config_of(attacks=[{"attack": "removal"}]))) == 1
+    more = config_of(trust={"evidence": ["detections", "missing"]}, lidar={"dropout_p": 0.1})
+    assert [line.partition(":")[0] for line in left_out(more)] == ["trust.evidence", "lidar.dropout_p"]
 
 
 def test_intervals_by_hand():
