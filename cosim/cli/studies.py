@@ -277,7 +277,7 @@ def _print_pivot(study, title: str, found) -> None:
 
 def _print_first(folder: Path) -> None:
     """After a sweep: the core metrics, in a grid with other keys at their first value, and the next command."""
-    from results.study import apart, is_grid, open_study, said
+    from results.study import apart, as_column, is_grid, open_study, said
     from results.study_table import cautions, core, pivot, together
 
     study = open_study(folder)
@@ -289,7 +289,10 @@ def _print_first(folder: Path) -> None:
     first = study.points.iloc[0]
     # Where each point changes one key, to hold the others would leave most points out.
     others = others if is_grid(study.points, study.keys) else []
-    held = {key: said(study.baseline.get(key, first[key])) for key in others}
+    held = {}
+    for key in others:
+        value = as_column(study.points[key], study.baseline[key]) if key in study.baseline else first[key]
+        held[key] = said(value)
     at = ", ".join(f"{key} = {value}" for key, value in held.items())
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"
@@ -305,7 +308,11 @@ def _print_first(folder: Path) -> None:
 def _held(where: list[str]) -> dict[str, str]:
     if wrong := [text for text in where if "=" not in text]:
         raise ValueError(f"--where {wrong[0]}: not KEY=VALUE. Write for example --where fleet.penetration_p=0.3.")
-    return dict(text.split("=", 1) for text in where)
+    held = dict(text.split("=", 1) for text in where)
+    if len(held) < len(where):
+        said = ", ".join(where)
+        raise ValueError(f"--where {said}: a key is held at one value. Name each key once.")
+    return held
 
 
 _CURVES = {"durations": "encounters", "ages": "ages"}

@@ -1,10 +1,14 @@
 """Study files and plans: what is asked, what is shared, and what a mistake is answered with. Nothing is driven."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from cosim.cli import studies as commands
 from cosim.config import preset
 from cosim.studies import points as study_points
 from cosim.studies.plan import plan
@@ -13,6 +17,7 @@ from cosim.studies.study import SHIPPED, load
 from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
 from tests.cosim.traffic import crossing
 from tests.refusals import refused_in_one_line
+from tests.results.test_study_pages import study_of
 from tests.slow import slow
 
 HEAD = """
@@ -303,3 +308,18 @@ traffic.scale = [0.5, 1.0, 1.5]
         text = HEAD.replace("[base]", f"baseline = {stated}\n[base]") + swept
         baseline = load(write(tmp_path, text)).head.baseline
         assert baseline == wanted and [*map(type, baseline.values())] == [*map(type, wanted.values())]
+
+
+def test_lists_are_swept_and_a_key_is_held_at_one_value(tmp_path, capsys):
+    """After a sweep, other keys are held at the baseline, whatever it is."""
+    kinds = ('["car"]', '["car", "van"]')
+    swept = {"fleet.penetration_p": (0.1, 0.3), "fleet.equipped_kinds": kinds}
+    made = study_of(tmp_path, swept, baseline={"fleet.equipped_kinds": ["car", "van"]})
+    head = {"name": made.name, "question": "", "keys": list(swept), "baseline": made.baseline}
+    table = pa.Table.from_pandas(made.points).replace_schema_metadata({"study": json.dumps(head)})
+    pq.write_table(table, tmp_path / "index.parquet")
+    commands._print_first(tmp_path)
+    assert '["car", "van"]' in capsys.readouterr().out
+    commands.measure(tmp_path, [], True, where=["fleet.penetration_p=0.1"])
+    with pytest.raises(ValueError, match="a key is held at one value"):
+        commands.measure(tmp_path, [], True, where=["fleet.penetration_p=0.1", "fleet.penetration_p=0.3"])
