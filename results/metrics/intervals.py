@@ -225,29 +225,45 @@ def mean_of_pairs(
     return around(value, variance**0.5, n - 1, bounds, level)._replace(n_units=n)
 
 
-def median(values: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
-    """Median, with the interval between two of the values that holds for any distribution [1]_.
+def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = LEVEL) -> ClusteredEstimate:
+    """Median, with an interval between two of the values that holds for any distribution.
 
     Parameters
     ----------
     values
-        Independent values.
+        One or more values of each unit.
+    unit
+        Number of the unit of each value.
     level
         Probability of the interval.
 
     Returns
     -------
-    The median, NaN without values. The interval is NaN if there are too few values for it.
+    The median, NaN without values. The interval is NaN if there are too few units for it.
+
+    Notes
+    -----
+    If every unit has one value, ranks are binomial [1]_. If not, the share of values up to the median has an interval
+    (`ratio`) which is as far from one half as it is from this share; its ends say the two quantiles [2]_.
 
     References
     ----------
     .. [1] Conover, "Practical Nonparametric Statistics", 3rd ed., 1999, section 3.2.
+    .. [2] Woodruff, "Confidence intervals for medians and other position measures", JASA 47(260), 1952.
     """
-    n = len(values)
+    at, n = _codes(unit)
     if not n:
         return UNKNOWN
-    found = stats.quantile_test(values, p=0.5).confidence_interval(level)
-    return ClusteredEstimate(float(np.median(values)), float(found.low), float(found.high), n)
+    value = float(np.median(values))
+    if n == len(values):
+        found = stats.quantile_test(values, p=0.5).confidence_interval(level)
+        return ClusteredEstimate(value, float(found.low), float(found.high), n)
+    up_to = ratio(np.bincount(at, values <= value), np.bincount(at), level)
+    if n < _FEWEST:
+        return up_to._replace(value=value)
+    ends = 0.5 + np.array([up_to.low, up_to.high]) - up_to.value
+    low, high = np.quantile(values, np.clip(ends, 0.0, 1.0))
+    return ClusteredEstimate(value, float(low), float(high), n)
 
 
 def auc(

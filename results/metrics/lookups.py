@@ -216,12 +216,12 @@ def _scores(run: Run) -> tuple[pd.DataFrame, bool]:
     return found, is_rounded
 
 
-def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
+def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
     """All pseudonyms of the run.
 
     Returns
     -------
-    Pseudonyms, ascending, and the code of the role of each, in the order of `Run.role_labels`.
+    Pseudonyms, ascending, the code of the role of each, in the order of `Run.role_labels`, and its vehicle.
     """
     return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
@@ -236,9 +236,10 @@ def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) 
     return place
 
 
-def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"]]:
-    role = run.subjects.role.sort_index()
-    return role.index.to_numpy(np.int64), role.cat.codes.to_numpy(np.int64)
+def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
+    who = run.subjects.sort_index()
+    role = who.role.cat.codes.to_numpy(np.int64)
+    return who.index.to_numpy(np.int64), role, who.vehicle.to_numpy(np.int64)
 
 
 def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> _All:
@@ -248,7 +249,7 @@ def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> 
 
 
 def _added(run: Run, asked: _Asked) -> _All:
-    known, role_of = subjects(run)
+    known, role_of, _ = subjects(run)
     vehicles = run.table("vehicles", ["vehicle", "last_step"])
     left = np.zeros(int(vehicles.vehicle.max()) + 1, np.int64)
     left[vehicles.vehicle] = vehicles.last_step

@@ -4,7 +4,7 @@ Metrics count pseudonyms, because trust knows no other identity. An attacker's p
 attack of its vehicle on; earlier trust is left out. An honest pseudonym is watched from the first attack of any vehicle
 on. A value without an evaluation tells nothing about its subject: it counts as not evaluated, and the subject is
 neither suspected nor cleared. A subject is suspected while its value is below a threshold and rests on at least
-`trust.suspect_from` evaluations.
+`trust.suspect_from` evaluations. Intervals are clustered by vehicle: its pseudonyms are not independent.
 """
 
 from typing import NamedTuple
@@ -25,6 +25,7 @@ class Scored(NamedTuple):
 
     step: Int[ndarray, "n"]
     subject: Int[ndarray, "n"]
+    vehicle: Int[ndarray, "n"]
     role: Int[ndarray, "n"]
     """Code of its role, in the order of `Run.role_labels`."""
     trust: Float[ndarray, "n"]
@@ -43,7 +44,7 @@ def scored_vehicles(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    step, subject, role, trust (null where the ledger has none), rated, enough.
+    step, subject, vehicle, role, trust (null where the ledger has none), rated, enough.
     """
     found = scored(run)
     labels = pd.CategoricalDtype(list(run.role_labels))
@@ -76,6 +77,7 @@ def _scored(run: Run) -> Scored:
     return Scored(
         step=steps[at],
         subject=who.index.to_numpy()[row],
+        vehicle=who.vehicle.to_numpy()[row],
         role=role[row],
         trust=value[cell],
         rated=rated[cell],
@@ -98,7 +100,7 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
     auc_unevaluated: the same with the values that rest on no evaluation; threshold: the largest with no more false
     positives than allowed; true_positives, false_positives: shares of the evaluated values below it (recall, false
     positive rate); suspected: share of the attackers' watched time in which they are suspected. auc, true_positives
-    and suspected have intervals clustered by subject; those of shares take the threshold as given.
+    and suspected have intervals; those of shares take the threshold as given.
 
     Notes
     -----
@@ -115,8 +117,8 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
             continue
         attacking = found.take(mine & found.rated)
         suspected = found.enough[mine] & (found.trust[mine] < limit)
-        of_time = intervals.of_units(suspected, found.subject[mine])
-        found_out = intervals.of_units(attacking.trust < limit, attacking.subject)
+        of_time = intervals.of_units(suspected, found.vehicle[mine])
+        found_out = intervals.of_units(attacking.trust < limit, attacking.vehicle)
         if np.isnan(limit):
             of_time = found_out = intervals.UNKNOWN
         rows.append({
@@ -169,14 +171,14 @@ def below(run: Run, threshold: float | None = None) -> pd.DataFrame:
 
     Returns
     -------
-    role, n, share of all values, and evaluated_share of the evaluated ones; both with intervals clustered by subject.
+    role, n, share of all values, and evaluated_share of the evaluated ones; both with intervals.
     """
     found, rows = trust.in_use(run), []
     for role, here in trust.by_role(run, found.role):
         row: dict[str, object] = {"role": role, "n": int(here.sum())}
         for name, some in (("share", here), ("evaluated_share", here & found.rated)):
             low = found.trust[some].astype(np.float64) < trust.suspect_below(run, threshold)
-            row |= intervals.columns(intervals.of_units(low, found.subject[some]), name)
+            row |= intervals.columns(intervals.of_units(low, found.vehicle[some]), name)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -187,8 +189,7 @@ def separation(run: Run) -> intervals.ClusteredEstimate:
     rated = rated.take(rated.rated)
     _, subject = np.unique(rated.subject, return_inverse=True)
     last = rated.take(trust.last_of_each(subject))
-    honest, attacking = _rated(run, last, HONEST), _rated(run, last, "malicious")
-    return intervals.auc(honest, np.arange(len(honest)), attacking, np.arange(len(attacking)))
+    return _auc(last, _of_role(run, last, HONEST), _of_role(run, last, "malicious"))
 
 
 def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "server") -> pd.DataFrame:
@@ -206,7 +207,8 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
 
     Returns
     -------
-    subject, role, delay_s, found. If a subject was not found, delay_s is the time for which it was watched (censored).
+    subject, vehicle, role, delay_s, found. If a subject was not found, delay_s is the time for which it was watched
+    (censored).
     """
     who = watched(run)
     step, subject = _low_values(run, threshold, at)
@@ -217,7 +219,7 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
     np.minimum.at(first, row[there], step[there])
     found = np.isfinite(first)
     delay_s = (np.where(found, first, until) - since) * run.dt_s
-    return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).reset_index()
+    return who[["vehicle", "role"]].assign(delay_s=delay_s, found=found).reset_index()
 
 
 def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
@@ -247,11 +249,11 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
     them that rest on enough evaluations and lie below the threshold; auc: probability that an evaluated value of an
     honest subject is above one of this role, ties counting half (NaN for honest subjects); auc_error: largest error
     of auc from rounding values (0 if none was rounded); and auc_note, which says so. evaluated, suspected and auc
-    have intervals clustered by subject.
+    have intervals.
     """
     watched(run)  # says so where there are no attacks
     found, scores = lookups.sums(run, threshold=threshold), lookups.scores(run)
-    _, role_of = lookups.subjects(run)
+    _, role_of, vehicle = lookups.subjects(run)
     role_of_score = role_of[scores.who]
     honest = role_of_score == _code(run, HONEST)
     rows = []
@@ -262,10 +264,10 @@ def at_lookup(run: Run, threshold: float | None = None) -> pd.DataFrame:
         n, here = found.n_watched[mine], role_of_score == code
         row: dict[str, object] = {"role": role, "n": int(n.sum())}
         for name, counted in (("evaluated", found.n_evaluated), ("suspected", found.n_low)):
-            row |= intervals.columns(intervals.share(counted[mine], n), name)
+            row |= intervals.columns(_share_of(vehicle[mine], counted[mine], n), name)
         area = intervals.UNKNOWN
         if role != HONEST:
-            area = _auc_of_scores(scores, honest, here)
+            area = _auc_of_scores(scores, vehicle, honest, here)
         row |= intervals.columns(area, "auc")
         row["auc_error"] = _tied(scores, honest, here)
         rows.append(row)
@@ -288,10 +290,10 @@ def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, int
     -------
     auc, as in `at_lookup`; recall: share of the attackers' evaluated lookups below that threshold, the largest that is
     allowed; mistaken: share of the pairs of a receiver and an honest subject in which the receiver ever suspects the
-    subject (`detection_per_receiver`). Intervals are clustered by subject.
+    subject (`detection_per_receiver`).
     """
     watched(run)
-    scores, (_, role_of) = lookups.scores(run), lookups.subjects(run)
+    scores, (_, role_of, vehicle) = lookups.scores(run), lookups.subjects(run)
     honest = role_of[scores.who] == _code(run, HONEST)
     if honest.all() or not honest.any():
         raise run.lacks(*_NONE_RATED)
@@ -301,23 +303,30 @@ def compared_at_lookup(run: Run, false_positives: float = 0.05) -> dict[str, int
     at = np.searchsorted(np.cumsum(times[order]), allowed, "right")
     limit = np.append(value[order], np.inf)[at]
     who, n = scores.who[~honest], scores.n[~honest]
-    low = np.bincount(who, n * (scores.trust[~honest] < limit))
+    low = n * (scores.trust[~honest] < limit)
     found = lookups.sums(run)
     mine = role_of == _code(run, HONEST)
     return {
-        "auc": _auc_of_scores(scores, honest, ~honest),
-        "recall": intervals.share(low, np.bincount(who, n)),
-        "mistaken": intervals.share(found.pairs_found[mine], found.pairs[mine]),
+        "auc": _auc_of_scores(scores, vehicle, honest, ~honest),
+        "recall": _share_of(vehicle[who], low, n),
+        "mistaken": _share_of(vehicle[mine], found.pairs_found[mine], found.pairs[mine]),
     }
 
 
-def _auc_of_scores(
-    scores: lookups.Scores, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]
+def _share_of(
+    vehicle: Int[ndarray, "n"], top: Int[ndarray, "n"], bottom: Int[ndarray, "n"]
 ) -> intervals.ClusteredEstimate:
-    """Of values that were looked up, each as often as it was."""
+    """Share of counts, each of which belongs to a vehicle."""
+    return intervals.share(np.bincount(vehicle, top), np.bincount(vehicle, bottom))
+
+
+def _auc_of_scores(
+    scores: lookups.Scores, vehicle: Int[ndarray, "p"], honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]
+) -> intervals.ClusteredEstimate:
+    """Of values that were looked up, each as often as it was; `vehicle` is that of each pseudonym."""
     high, low = scores.trust[honest], scores.trust[attacking]
     times = scores.n[honest], scores.n[attacking]
-    return intervals.auc(high, scores.who[honest], low, scores.who[attacking], times)
+    return intervals.auc(high, vehicle[scores.who[honest]], low, vehicle[scores.who[attacking]], times)
 
 
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
@@ -340,11 +349,11 @@ def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataF
 
     Returns
     -------
-    role, n (pairs of receiver and subject), share of the pairs in which the receiver ever suspects (interval clustered
-    by subject), median_s (Kaplan-Meier; NaN if the share that does not suspect yet stays above one half).
+    role, n (pairs of receiver and subject), share of the pairs in which the receiver ever suspects, median_s
+    (Kaplan-Meier; NaN if the share that does not suspect yet stays above one half).
     """
     found = lookups.sums(run, threshold=threshold)
-    _, role_of = lookups.subjects(run)
+    _, role_of, vehicle = lookups.subjects(run)
     rows = []
     for code, role in enumerate(run.role_labels):
         counts = found.waited[code]
@@ -354,7 +363,8 @@ def detection_per_receiver(run: Run, threshold: float | None = None) -> pd.DataF
         lasted = np.concatenate([np.repeat(steps, counts[seen]) for seen in (0, 1)])
         over = np.repeat([False, True], counts.sum(axis=1))
         mine = role_of == code
-        share = intervals.columns(intervals.share(found.pairs_found[mine], found.pairs[mine]), "share")
+        of_pairs = _share_of(vehicle[mine], found.pairs_found[mine], found.pairs[mine])
+        share = intervals.columns(of_pairs, "share")
         median_s = median(kaplan_meier(lasted * run.dt_s, over))
         rows.append({"role": role, "n": int(counts.sum())} | share | {"median_s": median_s})
     return pd.DataFrame(rows, columns=["role", "n", "share", "share_low", "share_high", "share_units", "median_s"])
@@ -368,7 +378,7 @@ def detection_summary(run: Run, threshold: float | None = None, at: trust.At = "
     Returns
     -------
     role, n, share that was ever suspected, median_s (null if the share not suspected yet stays above one half); both
-    with intervals.
+    with intervals, that of median_s as if subjects were independent.
     """
     return summary_of(detection_delay(run, threshold, at))
 
@@ -391,8 +401,8 @@ def detection_times(run: Run, threshold: float | None = None, false_positives: f
 
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `detection_summary` for any delays with columns subject, role, delay_s and found."""
-    code, subject = delays.role.cat.codes.to_numpy(), delays.subject.to_numpy()
+    """The rows of `detection_summary` for any delays with columns vehicle, role, delay_s and found."""
+    code, vehicle = delays.role.cat.codes.to_numpy(), delays.vehicle.to_numpy()
     delay_s, found = delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool)
     rows = []
     for number, role in enumerate(delays.role.cat.categories):
@@ -401,8 +411,8 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
         if not n:
             continue
         curve = kaplan_meier(delay_s[here], found[here])
-        share = intervals.of_units(found[here], subject[here])
-        median_s = intervals.ClusteredEstimate(median(curve), *median_band(curve), n)
+        share = intervals.of_units(found[here], vehicle[here])
+        median_s = intervals.ClusteredEstimate(median(curve), *median_band(curve), share.n_units)
         estimates = intervals.columns(share, "share") | intervals.columns(median_s, "median_s")
         rows.append({"role": role, "n": n} | estimates)
     return pd.DataFrame(rows)
@@ -467,7 +477,7 @@ def _auc(found: Scored, honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"
     """Of some values above others."""
     high = found.trust[honest].astype(np.float64)
     low = found.trust[attacking].astype(np.float64)
-    return intervals.auc(high, found.subject[honest], low, found.subject[attacking])
+    return intervals.auc(high, found.vehicle[honest], low, found.vehicle[attacking])
 
 
 def _share(which: ndarray) -> float:

@@ -31,6 +31,8 @@ class Values(NamedTuple):
     subject: Int[ndarray, "n"]
     who: Int[ndarray, "n"]
     """Row of the subject in `Run.subjects`."""
+    vehicle: Int[ndarray, "n"]
+    """The vehicle behind it. Its pseudonyms are not independent of each other."""
     role: Int[ndarray, "n"]
     """Code of its role, in the order of `Run.role_labels`."""
     trust: Float[ndarray, "n"]
@@ -77,7 +79,7 @@ def values(run: Run) -> pd.DataFrame:
             "step": found.step,
             "time_s": found.step * run.dt_s,
             "subject": found.subject,
-            "vehicle": who.vehicle.to_numpy()[found.who],
+            "vehicle": found.vehicle,
             "role": who.role.array.take(found.who),
             "trust": found.trust,
             "rated": found.rated,
@@ -109,6 +111,7 @@ def _in_use(run: Run) -> Values:
         since=since[used],
         subject=subject[used],
         who=at,
+        vehicle=who.vehicle.to_numpy()[at],
         role=role,
         trust=trust[used],
         rated=n > 0,
@@ -201,7 +204,7 @@ def watched(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    By subject: role, and first and last step (`since`, `until`) in which it is watched.
+    By subject: role, vehicle, and first and last step (`since`, `until`) in which it is watched.
 
     Raises
     ------
@@ -234,7 +237,8 @@ def _watched_of(run: Run) -> pd.DataFrame:
     begin = who.attack_start_step.where(who.role != HONEST, who.attack_start_step.min())
     since = np.maximum(who.from_step, begin.astype(int))
     until = who.to_step.clip(upper=run.manifest["steps"] - 1)
-    who = pd.DataFrame({"role": who.role, "since": since, "until": until}).rename_axis("subject")
+    columns = {"role": who.role, "vehicle": who.vehicle, "since": since, "until": until}
+    who = pd.DataFrame(columns).rename_axis("subject")
     who = who[who.since <= who.until]
     if who.empty:
         raise run.lacks("pseudonyms in use since the first attack", "it ends too soon after it. Run longer.")
@@ -257,11 +261,11 @@ def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, 
 
 
 def mean(run: Run) -> pd.DataFrame:
-    """Mean of all values: role, n, mean with its interval (clustered by subject; see `intervals.columns`), note."""
+    """Mean of all values: role, n, mean with its interval (clustered by vehicle; see `intervals.columns`), note."""
     found = in_use(run)
     rows = []
     for role, here in by_role(run, found.role):
-        mean = intervals.of_units(found.trust[here].astype(np.float64), found.subject[here])
+        mean = intervals.of_units(found.trust[here].astype(np.float64), found.vehicle[here])
         row = {"role": role, "n": int(here.sum()), "note": _idle(run, role)}
         rows.append(row | intervals.columns(mean, "mean"))
     return pd.DataFrame(rows)
@@ -305,14 +309,14 @@ def final(run: Run) -> pd.DataFrame:
     intervals (see `intervals.columns`); and a note."""
     found, rows = in_use(run), []
     last = last_of_each(found.who)
-    role = found.role[last]
+    role, vehicle = found.role[last], found.vehicle[last]
     trust = found.trust[last].astype(np.float64)
     for name, here in by_role(run, role):
-        one = trust[here]
+        one, unit = trust[here], pd.factorize(vehicle[here])[0]
         q25, q75 = np.quantile(one, [0.25, 0.75])
         rows.append(
             {"role": name, "n": len(one), "q25": q25, "q75": q75, "note": _idle(run, name)}
-            | intervals.columns(intervals.of_units(one, np.arange(len(one))), "mean")
-            | intervals.columns(intervals.median(one), "median")
+            | intervals.columns(intervals.of_units(one, unit), "mean")
+            | intervals.columns(intervals.median(one, unit), "median")
         )
     return pd.DataFrame(rows)

@@ -31,9 +31,9 @@ def test_units_without_a_count_and_too_few():
 
 def test_median_by_hand():
     """Of ten values, P(at most 1 below the median) = 11 / 1024 = 1.1 %, at most 2: 5.5 %: ranks 2 and 9."""
-    found = intervals.median(np.arange(10.0, 110.0, 10.0))
+    found = intervals.median(np.arange(10.0, 110.0, 10.0), np.arange(10))
     assert found == (55.0, 20.0, 90.0, 10)
-    assert np.isnan(intervals.median(np.arange(5.0)).low)  # P(none below) = 3 %: no interval has 95 %
+    assert np.isnan(intervals.median(np.arange(5.0), np.arange(5)).low)  # P(none below) = 3 %: no interval has 95 %
 
 
 def test_mean_of_pairs_that_share_nothing_is_the_usual_one():
@@ -80,6 +80,24 @@ def test_auc_of_single_values_has_delongs_variance():
     assert found.value == wins.mean()
     assert np.log(found.high / (1 - found.high)) == pytest.approx(logit + half)
     assert found.n_units == 25
+
+
+def test_median_of_units_with_several_values_covers():
+    """Values of a unit are alike (correlation 0.8): of 200 samples, 95 % of the intervals contain the median, 0.
+
+    Those of independent values contain it in 66 %.
+    """
+    random, hits, hits_of_independent = np.random.default_rng(1), 0, 0
+    unit = np.repeat(np.arange(40), 5)
+    for _ in range(200):
+        values = random.normal(size=40)[unit] + 0.5 * random.normal(size=200)
+        found = intervals.median(values, unit)
+        hits += found.low <= 0 <= found.high
+        alone = intervals.median(values, np.arange(200))
+        hits_of_independent += alone.low <= 0 <= alone.high
+    assert found.n_units == 40 and 0.92 <= hits / 200 <= 0.98 and hits_of_independent / 200 < 0.75
+    few = intervals.median(np.array([1.0, 2.0, 4.0]), np.array([0, 0, 1]))
+    assert few.value == 2 and np.isnan(few.low) and few.n_units == 2
 
 
 def test_median_of_durations_has_the_band_of_the_curve():

@@ -59,6 +59,34 @@ def test_classification_by_hand(town):
     assert misbehaviour.separation(town).value == 5 / 6  # last values: 0.2, 0.4, 0.9 above 0.1, and 0.4, 0.9 above 0.3
 
 
+def test_pseudonyms_of_a_vehicle_are_one_unit(tiny):
+    """Twelve vehicles that change their pseudonyms after ten steps say no more than twelve that keep them."""
+    random = np.random.default_rng(2)
+    vehicles = attacking(["honest"] * 8 + ["malicious"] * 4, dict.fromkeys(range(8, 12), 1))
+    level = random.uniform(0.1, 0.8, 12)
+    rows = [(s, v, level[v] + 0.2 * random.random()) for s in range(20) for v in range(12)]
+    found = []
+    for changes in (False, True):
+        name = [[v, v + 12 * changes] for v in range(12)]
+        pseudonyms = [
+            {"pseudonym": name[v][half], "vehicle": v, "from_step": 10 * half, "to_step": 9 if half < changes else 19}
+            for v in range(12) for half in range(1 + changes)
+        ]  # fmt: skip
+        known = [{"step": s, "subject": name[v][s // 10], "trust": t, "n_evaluations": 9} for s, v, t in rows]
+        looked = [{**row, "receiver": 0, "newest_evaluation_age_s": 1.0} for row in known if row["subject"] % 12]
+        tables = {"vehicles": vehicles, "pseudonyms": pseudonyms, "trust": known, "trust_lookups": looked}
+        table = measure(tiny(20, **tables), topics=("trust", "misbehaviour", "security"))
+        found.append(table.set_index(["metric", "group"]))
+    of_vehicles, of_pseudonyms = found
+    same = of_vehicles.index.drop([("security.precision", "vehicle")])  # it counts last values, of each pseudonym
+    units = of_vehicles.n_units[same].dropna()
+    assert len(units) > 25 and units.equals(of_pseudonyms.n_units[units.index])
+    for name in ("auc", "recall_at_fpr", "below_threshold.share", "at_lookup.auc", "at_lookup.suspected.share"):
+        place = f"misbehaviour.{name}", "malicious"
+        one, other = (table.loc[place, ["value", "low", "high"]].tolist() for table in found)
+        assert one == pytest.approx(other), name
+
+
 def test_curve_by_hand(town):
     curve = misbehaviour.roc(town).set_index("threshold").round(6)
     assert curve.true_positives.tolist() == [0, 0.2, 0.2, 0.6, 0.6, 0.8, 0.8, 1, 1, 1]

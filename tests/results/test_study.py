@@ -43,11 +43,11 @@ def test_means_of_few_subjects_are_said(study):
     notes = list(map(_note, rows))
     found.assign(note=notes).to_parquet(path)
     auc, time = study.summary.note
-    assert auc == "few subjects: 1 to 2 in most runs"
-    assert time == "2 of 4 replicates have a value; few subjects: 1 per run"
+    assert auc == "few vehicles: 1 to 2 in most runs"
+    assert time == "2 of 4 replicates have a value; few vehicles: 1 per run"
     assert [study_table.cell(row).endswith("n = 2") for row in study.summary.to_dict("records")] == [False, True]
     (line,) = study_table.cautions(study, study.summary, ["misbehaviour.auc"])
-    assert line == "few subjects (1 to 2 in a run), read as examples: misbehaviour.auc:malicious"
+    assert line == "few vehicles (1 to 2 in a run), read as examples: misbehaviour.auc:malicious"
 
 
 def test_labels_are_words_and_those_of_today(study):
@@ -64,10 +64,10 @@ def test_points_with_few_subjects_are_said_in_short():
     """Town at both penetrations, the city at 10 % alone, whatever the window."""
     at = [(city, p, w) for city in ("city", "town") for p in ("10 %", "30 %") for w in "ab"]
     frame = pd.DataFrame(at, columns=["city", "p", "window"]).assign(metric="auc")
-    frame["note"] = ["few subjects: 3 per run"] * 2 + [""] * 2 + ["few subjects: 2 to 4 in most runs"] * 4
+    frame["note"] = ["few vehicles: 3 per run"] * 2 + [""] * 2 + ["few vehicles: 2 to 4 in most runs"] * 4
     (line,) = study_notes.lines(frame, ["city", "p", "window"])
     places = "city, 10 %; town, 10 %; town, 30 %"
-    assert line == f"few subjects (2 to 4 in a run), read as examples: auc, at {places}"
+    assert line == f"few vehicles (2 to 4 in a run), read as examples: auc, at {places}"
 
 
 CITIES = [

@@ -19,7 +19,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     Every run is drawn once for each of its trust variants, with all its attackers together; central and local trust
     are measured alike. The dashed line is chance. In the second panel the threshold is each variant's own: that of the
     stated share of false positives among honest values. In the third it is `trust.suspect_below`. Bars are 95 %
-    intervals, clustered by vehicle (pseudonym).
+    intervals, clustered by vehicle.
     """
     variants, titles = style.variants_of(runs)
     labels = [style.fitted(title, 18) for title in titles]

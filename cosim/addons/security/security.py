@@ -38,7 +38,7 @@ def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
     -------
     unit: "value" (a subject whenever trust is computed), "vehicle" (a subject at the last such moment), and "message"
     if the run holds detections (positive if it holds a lie, whoever sent it); tp, fp, fn, tn; and what `rates` returns.
-    precision, recall and fpr have intervals clustered by subject. A subject without enough evaluations is not excluded.
+    precision, recall and fpr have intervals clustered by vehicle. A subject without enough evaluations is not excluded.
     """
     frame = excluded(run, threshold)
     rows = []
@@ -57,13 +57,13 @@ def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
             ("recall", some.excluded, some.attacker),
             ("fpr", some.excluded, ~some.attacker),
         ):
-            found = intervals.of_units(value[among].to_numpy(bool), some.subject[among].to_numpy())
+            found = intervals.of_units(value[among].to_numpy(bool), some.vehicle[among].to_numpy())
             rows[-1] |= intervals.columns(found, name)
     return pd.DataFrame(rows)
 
 
 def messages(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
-    """Messages with detections of watched subjects: step, subject, attacker (it holds a lie), excluded.
+    """Messages with detections of watched subjects: step, subject, vehicle, attacker (it holds a lie), excluded.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def messages(run: Run, frame: pd.DataFrame) -> pd.DataFrame:
     message = listed.groupby(["step", "observer"])[["lied", "transmitted"]].any()
     lied = message.lied[message.transmitted]  # what is withheld from a message is no less a lie
     sent = lied.rename("attacker").rename_axis(["step", "subject"]).reset_index()
-    sent = sent.merge(watched(run)[["since", "until"]].reset_index(), on="subject")
+    sent = sent.merge(watched(run).drop(columns="role").reset_index(), on="subject")
     is_watched = (sent.since <= sent.step) & (sent.step <= sent.until)
     sent = sent[is_watched].sort_values("step")
     known = frame[["step", "subject", "excluded"]].astype({"step": np.int64, "subject": np.int64}).sort_values("step")
     found = pd.merge_asof(sent, known, on="step", by="subject")
-    return found.assign(excluded=found.excluded.eq(True))[["step", "subject", "attacker", "excluded"]]
+    return found.assign(excluded=found.excluded.eq(True))[["step", "subject", "vehicle", "attacker", "excluded"]]
 
 
 def exclusion_delay(run: Run) -> pd.DataFrame:
@@ -88,20 +88,20 @@ def exclusion_delay(run: Run) -> pd.DataFrame:
 
     Returns
     -------
-    subject (vehicle), role, delay_s (of attackers from their first attack, of others from the first of any), found:
+    vehicle, role, delay_s (of attackers from their first attack, of others from the first of any), found:
     where not found, the time it was watched for (censored). ValueError where the run revokes nothing.
     """
     policy = run.config.get("pseudonyms", {}).get("revocation", "none")
     if policy == "none":
         raise ValueError(f'{run.path} revokes no pseudonyms. Set pseudonyms.revocation, for example to "immediate".')
-    who = watched(run).join(run.subjects[["vehicle", "refused_step"]])
+    who = watched(run).join(run.subjects.refused_step)
     who = who.groupby("vehicle").agg(
         role=("role", "first"), since=("since", "min"), until=("until", "max"), refused=("refused_step", "min")
     )
     found = who.refused.notna()
     end_step = who.refused.where(found, who.until).astype(float)
     delay_s = (end_step - who.since).clip(lower=0) * run.dt_s
-    return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).rename_axis("subject").reset_index()
+    return pd.DataFrame({"role": who.role, "delay_s": delay_s, "found": found}).reset_index()
 
 
 def exclusion_times(run: Run) -> pd.DataFrame:
@@ -163,18 +163,19 @@ def false_exclusions(run: Run, threshold: float | None = None) -> intervals.Clus
     honest = frame[~frame.attacker].sort_values(["subject", "step"])
     before = honest.excluded.groupby(honest.subject).shift(fill_value=True)
     times = (honest.excluded & ~before).groupby(honest.subject).sum()
-    watched = honest.groupby("subject").step.agg(["min", "max"])
+    watched = honest.groupby("subject").agg(vehicle=("vehicle", "first"), min=("step", "min"), max=("step", "max"))
     hours = (watched["max"] - watched["min"]) * run.dt_s / 3600
-    return intervals.ratio(times.to_numpy(float), hours.to_numpy(float))
+    of_vehicle = pd.DataFrame({"times": times, "hours": hours}).groupby(watched.vehicle).sum()
+    return intervals.ratio(of_vehicle.times.to_numpy(float), of_vehicle.hours.to_numpy())
 
 
 def trust_error(run: Run) -> pd.DataFrame:
-    """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by subject."""
+    """By role: mean distance of evaluated trust from 1 (honest) or 0 (attackers), with its interval by vehicle."""
     frame = scored_vehicles(run).query("rated")
     error = (frame.trust.astype(float) - (frame.role == HONEST)).abs()
     rows = []
     for role, one in frame.groupby("role", observed=True):
         errors = error[one.index].to_numpy(float)
-        found = intervals.of_units(errors, one.subject.to_numpy())
+        found = intervals.of_units(errors, one.vehicle.to_numpy())
         rows.append({"role": role} | intervals.columns(found, "error"))
     return pd.DataFrame(rows)

@@ -104,7 +104,7 @@ def test_exclusion_by_hand(tiny):
     vehicles = attacking(["honest", "malicious", "malicious"], {1: 3, 2: 5})
     given = {"vehicles": vehicles, "pseudonyms": names}
     run = tiny(20, config={"pseudonyms": {"revocation": "list"}}, **given)
-    delay = security.exclusion_delay(run).set_index("subject")
+    delay = security.exclusion_delay(run).set_index("vehicle")
     assert delay.delay_s.to_dict() == {0: 1, 1: 6, 2: 14} and delay.found.tolist() == [True, True, False]
     found = misbehaviour.summary_of(security.exclusion_delay(run)).set_index("role")
     assert found.share.to_dict() == {"honest": 1, "malicious": 0.5} and found.median_s["malicious"] == 6
