@@ -310,14 +310,25 @@ def auc(
     value = float(np.average(above, weights=n_high))
     if n_units < _FEWEST:
         return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
-    variance = _variance(above - value, n_high, high_unit) + _variance(below - value, n_low, low_unit)
-    return around(value, variance**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
+    of_values = variance(above - value, high_unit, n_high) + variance(below - value, low_unit, n_low)
+    return around(value, of_values**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
 
 
-def _variance(residual: Float[ndarray, "n"], n: ndarray, unit: Int[ndarray, "n"]) -> float:
-    """What one kind of values, each of which occurs so often, adds to the variance of `auc`."""
-    total = np.bincount(unit, n * residual)
-    n_units = len(total)
+def variance(residual: Float[ndarray, "n"], unit: Int[ndarray, "n"], n: ndarray | None = None) -> float:
+    """Variance of the mean of values that come from two units or more: what one kind of them adds to that of `auc`.
+
+    Parameters
+    ----------
+    residual
+        Value less the mean.
+    unit
+        Number of the unit of each value.
+    n
+        How often each value occurs; by default once.
+    """
+    at, n_units = _codes(unit)
+    n = np.ones(len(residual)) if n is None else n
+    total = np.bincount(at, n * residual)
     return n_units / (n_units - 1) * float((total**2).sum()) / float(n.sum()) ** 2
 
 

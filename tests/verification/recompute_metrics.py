@@ -490,21 +490,24 @@ def ideal_observer(of, made):
                 if row.evaluator in clues and some.since[row.evaluator] <= row.step <= some.until[row.evaluator]:
                     cell = 48 + (value * 3 + row.others) * 2 + (known and row.observer in attackers)
                     clues[row.evaluator].append(cell)
-            best = np.fmax(best, separated(clues, {subject: some.role[subject] == role for subject in clues}))
+            vehicle = subjects(of).vehicle.to_dict()
+            attacks = {subject: some.role[subject] == role for subject in clues}
+            best = np.fmax(best, separated(clues, attacks, vehicle))
             yield name, role, best
 
 
-def separated(clues, attacks):
-    """Pair by pair: likelihood ratios with shares of the clues of all others."""
+def separated(clues, attacks, vehicle):
+    """Pair by pair: likelihood ratios with shares of the clues of all other vehicles."""
     cells = sorted({cell for listed in clues.values() for cell in listed})
     counts = {one: np.array([listed.count(cell) for cell in cells], float) for one, listed in clues.items()}
     roles = {role: [one for one in clues if attacks[one] == role] for role in (True, False)}
-    if min(map(len, roles.values())) < 2:
+    if min(len({vehicle[one] for one in listed}) for listed in roles.values()) < 2:
         return np.nan
 
     def logs(one):
-        mean = (sum(counts[other] for other in clues if other != one) + 0.5) / (len(clues) - 1)
-        count = mean + sum(counts[other] for other in roles[attacks[one]] if other != one)
+        others = [other for other in clues if vehicle[other] != vehicle[one]]
+        mean = (sum(counts[other] for other in others) + 0.5) / len(others)
+        count = mean + sum(counts[other] for other in others if attacks[other] == attacks[one])
         return np.log(count / count.sum())
 
     log, n = {one: logs(one) for one in clues}, {one: max(len(listed), 1) for one, listed in clues.items()}

@@ -26,7 +26,11 @@ _PRIOR = 0.5
 """Added to the count of every kind in the mean, so that none has probability 0 (Jeffreys)."""
 
 
-def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.ClusteredEstimate:
+def area(
+    counts: Int[ndarray, "s c"],
+    attacks: Bool[ndarray, "s"],
+    vehicle: Int[ndarray, "s"],
+) -> intervals.ClusteredEstimate:
     """Probability that an attacker's likelihood ratio is above an honest subject's; ties count half.
 
     Parameters
@@ -35,11 +39,13 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
         How many clues of each of C kinds there are about each of S subjects.
     attacks
         Whether each subject is an attacker.
+    vehicle
+        Number of the vehicle of each subject.
 
     Returns
     -------
     The larger of the areas of two statistics: the sum of the logarithms of the likelihood ratios of a subject's clues,
-    and their mean. NaN without two subjects of each role.
+    and their mean. NaN without two vehicles of each role.
 
     Notes
     -----
@@ -50,18 +56,20 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
     The probability of a kind given a role is its share of the clues about the subjects of this role, plus one more
     subject that has the mean of all others' clues: clues about one subject resemble each other, so the number of
     subjects says how well a share is known. A pair of an attacker and an honest subject is compared with shares from
-    which both are left out [1]_; leaving out one would favour the other.
+    which both are left out [1]_, with all other subjects of their vehicles; leaving out one would favour the other.
 
     References
     ----------
     .. [1] Airola et al., "An experimental comparison of cross-validation techniques for estimating the area under the
        ROC curve", Computational Statistics and Data Analysis 55(4), 2011.
     """
-    log_attacker = _log_shares(counts, attacks)[attacks]
-    log_honest = _log_shares(counts, ~attacks)[~attacks]
+    _, vehicle = np.unique(vehicle, return_inverse=True)
+    log_attacker = _log_shares(counts, attacks, vehicle)[attacks]
+    log_honest = _log_shares(counts, ~attacks, vehicle)[~attacks]
     attacker = counts[attacks].astype(float)
     honest = counts[~attacks].astype(float)
-    if min(len(attacker), len(honest)) < 2:
+    n_units = min(len(np.unique(vehicle[mine])) for mine in (attacks, ~attacks))
+    if n_units < 2:
         return intervals.UNKNOWN
     own = (attacker * log_attacker).sum(axis=1)
     of_attacker = own[:, None] - attacker @ log_honest.T
@@ -69,14 +77,13 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
     n, m = (np.maximum(one.sum(axis=1), 1.0) for one in (attacker, honest))
     sums = of_attacker - of_honest
     means = of_attacker / n[:, None] - of_honest / m
-    n_units = min(sums.shape)
     found = []
     for above in (sums, means):
         wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
-        shares = wins.mean(axis=1), wins.mean(axis=0)
-        variances = [share.var(ddof=1) / len(share) for share in shares]
-        error = float(np.sqrt(sum(variances)))
-        about = intervals.around(float(wins.mean()), error, n_units - 1, (0.0, 1.0))
+        value = float(wins.mean())
+        sides = (wins.mean(axis=1), attacks), (wins.mean(axis=0), ~attacks)
+        variance = sum(intervals.variance(share - value, vehicle[mine]) for share, mine in sides)
+        about = intervals.around(value, variance**0.5, n_units - 1, (0.0, 1.0))
         found.append(about._replace(n_units=n_units))
     return max(found, key=lambda one: one.value)
 
@@ -84,12 +91,18 @@ def area(counts: Int[ndarray, "s c"], attacks: Bool[ndarray, "s"]) -> intervals.
 def _log_shares(
     counts: Int[ndarray, "s c"],
     of_role: Bool[ndarray, "s"],
+    vehicle: Int[ndarray, "s"],
 ) -> Float[ndarray, "s c"]:
-    """Logarithm of each kind's share of the clues about a role's subjects, for each subject without its own clues."""
-    of_all_others = counts.sum(axis=0) - counts + _PRIOR
-    mean = of_all_others / max(len(counts) - 1, 1)
-    own = counts * of_role[:, None]
-    others = counts[of_role].sum(axis=0) - own + mean
+    """Logarithm of each kind's share of the clues about a role's subjects, for each without those of its vehicle."""
+
+    def of_others(values: Int[ndarray, "s k"]) -> Int[ndarray, "s k"]:
+        of_vehicle = np.zeros((len(values), values.shape[1]), np.int64)
+        np.add.at(of_vehicle, vehicle, values)
+        return values.sum(axis=0) - of_vehicle[vehicle]
+
+    n_others = of_others(np.ones((len(counts), 1), np.int64))
+    mean = (of_others(counts) + _PRIOR) / np.maximum(n_others, 1)
+    others = of_others(counts * of_role[:, None]) + mean
     return np.log(others / others.sum(axis=1, keepdims=True))
 
 
@@ -99,7 +112,7 @@ def bounds(run: Run) -> pd.DataFrame:
     Returns
     -------
     role; known: the observer also knows the roles of all other vehicles; alone: it does not. Both with intervals
-    clustered by subject. No rows without attacks. Of few attackers, more cells say less, so `known` is at
+    clustered by vehicle. No rows without attacks. Of few attackers, more cells say less, so `known` is at
     least `alone`.
 
     Notes
@@ -111,7 +124,7 @@ def bounds(run: Run) -> pd.DataFrame:
     if not run.subjects.attack_start_step.notna().any():
         return pd.DataFrame()
     who = watched(run)
-    role = who.role.astype(str).to_numpy()
+    role, vehicle = who.role.astype(str).to_numpy(), who.vehicle.to_numpy(np.int64)
     counts = _counts(run, who)
     rows = []
     for one in run.role_labels:
@@ -119,8 +132,8 @@ def bounds(run: Run) -> pd.DataFrame:
         if one == HONEST or not (role == one).any():
             continue
         of_roles, attacks = counts[mine], role[mine] == one
-        known = area(_of_kinds(of_roles.reshape(len(mine), -1)), attacks)
-        alone = area(_of_kinds(of_roles.sum(axis=-1)), attacks)
+        known = area(_of_kinds(of_roles.reshape(len(mine), -1)), attacks, vehicle[mine])
+        alone = area(_of_kinds(of_roles.sum(axis=-1)), attacks, vehicle[mine])
         known = max(known, alone, key=lambda one: one.value)  # one can leave out what one knows
         row: dict[str, object] = {"role": one}
         rows.append(row | intervals.columns(known, "known") | intervals.columns(alone, "alone"))

@@ -40,7 +40,7 @@ def test_the_area_is_that_of_neyman_and_pearson(kinds):
     for n, *p in kinds:
         k = rng.binomial(n, np.where(attacks, *p))
         columns += [k, n - k]
-    found = area(np.column_stack(columns), attacks)
+    found = area(np.column_stack(columns), attacks, np.arange(2 * N))
     assert found.value == pytest.approx(exact(kinds), abs=0.025)
     assert found.low < exact(kinds) < found.high or exact(kinds) == pytest.approx(0.5)
 
@@ -52,15 +52,34 @@ def test_areas_by_hand():
     same holds for all four pairs: whoever is left out, the other attacker has more of the first kind.
     """
     counts = np.array([[4, 0], [3, 1], [0, 4], [0, 3]])
-    assert area(counts, np.array([True, True, False, False])).value == 1.0
-    assert np.isnan(area(counts, np.array([True, False, False, False])).value), "nothing is known of a lone attacker"
+    two, one = np.array([True, True, False, False]), np.array([True, False, False, False])
+    assert area(counts, two, np.arange(4)).value == 1.0
+    assert np.isnan(area(counts, one, np.arange(4)).value), "nothing is known of a lone attacker"
+    assert np.isnan(area(counts, two, np.array([0, 0, 1, 2])).value), "nor of two pseudonyms of one"
+
+
+def test_pseudonyms_of_a_vehicle_do_not_tell_of_each_other():
+    """Each of 40 vehicles has four pseudonyms with clues of the same kinds, whatever its role."""
+    found, apart = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        kinds, vehicle = rng.dirichlet(np.full(12, 0.3), 40), np.repeat(np.arange(40), 4)
+        counts = np.array([rng.multinomial(20, kinds[v]) for v in vehicle])
+        found.append(area(counts, vehicle < 10, vehicle))
+        apart.append(area(counts, vehicle < 10, np.arange(160)))
+    mean = np.mean([one.value for one in found])  # the larger of two statistics
+    assert mean == pytest.approx(0.55, abs=0.05) and found[0].n_units == 10
+    assert sum(one.low < 0.5 < one.high for one in found) >= 7
+    assert min(one.value for one in apart) > 0.65, "as if each pseudonym were a vehicle"
 
 
 def test_order_of_subjects_and_of_kinds_does_not_matter():
     rng = np.random.default_rng(8)
     counts, attacks = rng.poisson(3, (30, 6)), np.arange(30) % 3 == 0
     rows, columns = rng.permutation(30), rng.permutation(6)
-    assert area(counts[rows][:, columns], attacks[rows]).value == pytest.approx(area(counts, attacks).value, abs=1e-12)
+    vehicle = np.arange(30) // 2
+    whole, again = area(counts, attacks, vehicle), area(counts[rows][:, columns], attacks[rows], vehicle[rows])
+    assert again == pytest.approx(whole, abs=1e-12)
 
 
 def kinds(run, who):
