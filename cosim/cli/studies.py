@@ -289,10 +289,9 @@ def _print_first(folder: Path) -> None:
     first = study.points.iloc[0]
     # Where each point changes one key, to hold the others would leave most points out.
     others = others if is_grid(study.points, study.keys) else []
-    held = {}
-    for key in others:
-        value = as_column(study.points[key], study.baseline[key]) if key in study.baseline else first[key]
-        held[key] = said(value)
+    held = {key: said(first[key]) for key in others}
+    for key in study.baseline.keys() & held.keys():
+        held[key] = said(as_column(study.points[key], study.baseline[key]))
     at = ", ".join(f"{key} = {value}" for key, value in held.items())
     beside = f" at {at}" if at else ""
     title = f"{study.name}{beside}: {_means(study)}"

@@ -76,8 +76,8 @@ def _before(run: Run) -> str:
     frame = frame[frame.rated & (frame.step < first)]
     found = {}
     for role, one in frame.groupby("role", observed=True):
-        of_subject = one.groupby("subject").trust
-        sums, n = of_subject.sum(), of_subject.size()
+        of_vehicle = one.groupby("vehicle").trust
+        sums, n = of_vehicle.sum(), of_vehicle.size()
         found[str(role)] = intervals.ratio(sums.to_numpy(), n.to_numpy())
     known = {role: mean for role, mean in found.items() if mean.low == mean.low}
     if len(known) < 2 or "honest" not in known:

@@ -310,11 +310,16 @@ def auc(
     value = float(np.average(above, weights=n_high))
     if n_units < _FEWEST:
         return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
-    of_values = variance(above - value, high_unit, n_high) + variance(below - value, low_unit, n_low)
+    of_values = variance(above - value, high_unit, n_high)
+    of_values += variance(below - value, low_unit, n_low)
     return around(value, of_values**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
 
 
-def variance(residual: Float[ndarray, "n"], unit: Int[ndarray, "n"], n: ndarray | None = None) -> float:
+def variance(
+    residual: Float[ndarray, "n"],
+    unit: Int[ndarray, "n"],
+    n: ndarray | None = None,
+) -> float:
     """Variance of the mean of values that come from two units or more: what one kind of them adds to that of `auc`.
 
     Parameters

@@ -216,7 +216,11 @@ def _scores(run: Run) -> tuple[pd.DataFrame, bool]:
     return found, is_rounded
 
 
-def subjects(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
+Numbers = Int[ndarray, "p"]
+"""A number of each pseudonym."""
+
+
+def subjects(run: Run) -> tuple[Numbers, Numbers, Numbers]:
     """All pseudonyms of the run.
 
     Returns
@@ -236,7 +240,7 @@ def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) 
     return place
 
 
-def _roles(run: Run) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
+def _roles(run: Run) -> tuple[Numbers, Numbers, Numbers]:
     who = run.subjects.sort_index()
     role = who.role.cat.codes.to_numpy(np.int64)
     return who.index.to_numpy(np.int64), role, who.vehicle.to_numpy(np.int64)

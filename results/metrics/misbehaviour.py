@@ -321,12 +321,16 @@ def _share_of(
 
 
 def _auc_of_scores(
-    scores: lookups.Scores, vehicle: Int[ndarray, "p"], honest: Bool[ndarray, "n"], attacking: Bool[ndarray, "n"]
+    scores: lookups.Scores,
+    vehicle: Int[ndarray, "p"],
+    honest: Bool[ndarray, "n"],
+    attacking: Bool[ndarray, "n"],
 ) -> intervals.ClusteredEstimate:
     """Of values that were looked up, each as often as it was; `vehicle` is that of each pseudonym."""
     high, low = scores.trust[honest], scores.trust[attacking]
     times = scores.n[honest], scores.n[attacking]
-    return intervals.auc(high, vehicle[scores.who[honest]], low, vehicle[scores.who[attacking]], times)
+    unit = vehicle[scores.who]
+    return intervals.auc(high, unit[honest], low, unit[attacking], times)
 
 
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:

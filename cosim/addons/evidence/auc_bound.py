@@ -68,7 +68,7 @@ def area(
     log_honest = _log_shares(counts, ~attacks, vehicle)[~attacks]
     attacker = counts[attacks].astype(float)
     honest = counts[~attacks].astype(float)
-    n_units = min(len(np.unique(vehicle[mine])) for mine in (attacks, ~attacks))
+    n_units = min(len(np.unique(vehicle[attacks])), len(np.unique(vehicle[~attacks])))
     if n_units < 2:
         return intervals.UNKNOWN
     own = (attacker * log_attacker).sum(axis=1)
@@ -81,8 +81,8 @@ def area(
     for above in (sums, means):
         wins = 0.5 * (1.0 + np.sign(np.round(above, 9)))
         value = float(wins.mean())
-        sides = (wins.mean(axis=1), attacks), (wins.mean(axis=0), ~attacks)
-        variance = sum(intervals.variance(share - value, vehicle[mine]) for share, mine in sides)
+        variance = intervals.variance(wins.mean(axis=1) - value, vehicle[attacks])
+        variance += intervals.variance(wins.mean(axis=0) - value, vehicle[~attacks])
         about = intervals.around(value, variance**0.5, n_units - 1, (0.0, 1.0))
         found.append(about._replace(n_units=n_units))
     return max(found, key=lambda one: one.value)
@@ -124,7 +124,8 @@ def bounds(run: Run) -> pd.DataFrame:
     if not run.subjects.attack_start_step.notna().any():
         return pd.DataFrame()
     who = watched(run)
-    role, vehicle = who.role.astype(str).to_numpy(), who.vehicle.to_numpy(np.int64)
+    role = who.role.astype(str).to_numpy()
+    vehicle = who.vehicle.to_numpy(np.int64)
     counts = _counts(run, who)
     rows = []
     for one in run.role_labels:
