@@ -42,7 +42,7 @@ UNKNOWN = without_interval(float("nan"))
 
 
 def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = LEVEL) -> ClusteredEstimate:
-    """Sum over sum, with a percentile interval of the cluster bootstrap [1]_: whole units are drawn again.
+    """Sum over sum, with a percentile interval of the cluster bootstrap [1]_ [2]_: whole units are drawn again.
 
     Parameters
     ----------
@@ -58,12 +58,15 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
 
     Notes
     -----
-    1,000 draws of a fixed seed: the same table gives the same interval. Percentile intervals are too narrow for few
-    units; below `FEW` the value is to be read as an example.
+    1,000 draws of a fixed seed: the same table gives the same interval. Plain percentiles are too narrow for few units,
+    so theirs are those of the normal distribution at sqrt(n / (n - 1)) t, for n units and Student's t [2]_. Below `FEW`
+    the value is to be read as an example nevertheless.
 
     References
     ----------
     .. [1] Field, Welsh, "Bootstrapping clustered data", J. R. Statist. Soc. B 69(3), 2007.
+    .. [2] Hesterberg, "What teachers should know about the bootstrap", The American Statistician 69(4), 2015: the
+       expanded percentile interval.
     """
     some = bottom > 0
     top = np.asarray(top, float)[some]
@@ -76,8 +79,9 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
         return ClusteredEstimate(value, float("nan"), float("nan"), n)
     drawn = _draws(n)
     ratios = (drawn @ top) / (drawn @ bottom)
-    tails = (1 - level) / 2, (1 + level) / 2
-    low, high = np.quantile(ratios, tails)
+    quantile = special.stdtrit(n - 1, (1 + level) / 2)
+    above = float(special.ndtr(math.sqrt(n / (n - 1)) * quantile))
+    low, high = np.quantile(ratios, [1 - above, above])
     return ClusteredEstimate(value, float(low), float(high), n)
 
 
@@ -293,7 +297,8 @@ def auc(
     The placement V of a value is the share of values of the other kind that are below it (first kind) or above it
     (second kind), ties counting half. A unit with m values has the residual (sum of its V) - m * AUC. The variance is
     the sum over both kinds of I / (I - 1) * (sum of the squared residuals of its I units) / N^2, where N is the number
-    of values of the kind. The interval is that of `around`, normal in the logit.
+    of values of the kind. The interval is that of `around`, in the logit, with one degree of freedom less than the
+    smaller number of units. A normal one of five attackers would contain the truth in 84 to 89 %.
 
     References
     ----------
@@ -312,7 +317,7 @@ def auc(
         return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
     of_values = variance(above - value, high_unit, n_high)
     of_values += variance(below - value, low_unit, n_low)
-    return around(value, of_values**0.5, math.inf, (0.0, 1.0), level)._replace(n_units=n_units)
+    return around(value, of_values**0.5, n_units - 1, (0.0, 1.0), level)._replace(n_units=n_units)
 
 
 def variance(

@@ -69,14 +69,14 @@ def test_mean_of_pairs_against_a_double_loop():
 
 
 def test_auc_of_single_values_has_delongs_variance():
-    """DeLong, DeLong, Clarke-Pearson 1988: variances of the placements over their numbers."""
+    """DeLong, DeLong, Clarke-Pearson 1988: variances of the placements over their numbers. t(0.975, 24) = 2.064."""
     rng = np.random.default_rng(3)
     high, low = rng.normal(1, 1, 40), rng.normal(0, 1, 25)
     wins = (high[:, None] > low).astype(float)
     variance = wins.mean(1).var(ddof=1) / 40 + wins.mean(0).var(ddof=1) / 25
     found = intervals.auc(high, np.arange(40), low, np.arange(25))
     logit = np.log(found.value / (1 - found.value))
-    half = 1.959964 * variance**0.5 / (found.value * (1 - found.value))
+    half = 2.063899 * variance**0.5 / (found.value * (1 - found.value))
     assert found.value == wins.mean()
     assert np.log(found.high / (1 - found.high)) == pytest.approx(logit + half)
     assert found.n_units == 25
@@ -107,6 +107,25 @@ def test_median_of_durations_has_the_band_of_the_curve():
     assert (curve.low[curve.duration_s < low] > 0.5).all() and (curve.high[curve.duration_s < high] > 0.5).all()
     assert low in lasted_s and low < 21 < high
     assert np.isnan(median_band(pd.DataFrame({"duration_s": [0.0], "low": [1.0], "high": [1.0]}))[0])
+
+
+@pytest.mark.parametrize(("statistic", "n"), [("mean", 10), ("auc", 5)])
+def test_coverage_of_few_units(statistic, n):
+    """Of 600 worlds of ten units, or five attackers, 95 % intervals contain the truth in 92 % or more.
+
+    Those of plain percentiles do so in 89 %, and those of the normal distribution in 88 %.
+    """
+    rng, covered = np.random.default_rng(6), 0
+    unit, many = np.repeat(np.arange(n), 8), np.repeat(np.arange(40), 8)
+    for _ in range(600):
+        values = rng.normal(0, 1, n)[unit] + rng.normal(0, 0.5, 8 * n)
+        if statistic == "mean":
+            truth, found = 0.0, intervals.of_units(values, unit)
+        else:
+            honest = 1.5 + rng.normal(0, 1, 40)[many] + rng.normal(0, 0.5, 320)
+            truth, found = stats.norm.cdf(1.5 / np.sqrt(2 * 1.25)), intervals.auc(honest, many, values, unit)
+        covered += found.low <= truth <= found.high
+    assert 0.92 <= covered / 600 <= 0.98
 
 
 @pytest.mark.parametrize("statistic", ["mean", "auc", "pairs"])
