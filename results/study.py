@@ -66,7 +66,8 @@ class StudyResults:
         found = self.points[columns].merge(pd.concat(frames, ignore_index=True), on="point", how="inner")
         labels = {name: metric.label for name, metric in METRICS.items()}  # earlier versions had other words
         found["label"] = found.metric.map(labels).fillna(found.label)
-        return found[~found.metric.str.endswith(".not_measured")].reset_index(drop=True)
+        is_defined = ~found.metric.str.endswith(".not_measured") & found.value.notna()
+        return found[is_defined].reset_index(drop=True)
 
     @cached_property
     def curves(self) -> pd.DataFrame:

@@ -60,6 +60,15 @@ def test_labels_are_words_and_those_of_today(study):
     assert study.summary.n.tolist() == [4, 2]
 
 
+def test_a_metric_of_ones_own_that_is_not_defined_has_no_mean(study):
+    """A function may return NaN, for all replicates or for some."""
+    path = study.path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    of_auc = found.metric == "misbehaviour.auc"
+    found.assign(value=found.value.where(~of_auc)).to_parquet(path)
+    assert study.summary.metric.tolist() == ["misbehaviour.time_to_detection.median_s"]
+
+
 def test_points_with_few_subjects_are_said_in_short():
     """Town at both penetrations, the city at 10 % alone, whatever the window."""
     at = [(city, p, w) for city in ("city", "town") for p in ("10 %", "30 %") for w in "ab"]
