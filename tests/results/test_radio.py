@@ -73,10 +73,12 @@ def test_delivery_by_what_stands_between(tiny):
     ],
 )
 def test_nothing_received_names_its_cause(tiny, model, row, why):
-    run = tiny(1, radio=[row], latency_histogram=[])
+    run = tiny(1, radio=[row], latency_histogram=[], packet_inter_reception=[])
     run.config["radio"] = {"model": model}
     with pytest.raises(ValueError, match=why):
         radio.latency(run)
+    with pytest.raises(ValueError, match=why):
+        radio.inter_reception(run)
     assert why in str(no_lookups(run))
 
 
