@@ -40,8 +40,8 @@ class ReceivedMessages:
     own: pd.DataFrame
     """step, vehicle and `POSE`: true states, by vehicle and step."""
     messages: pd.DataFrame
-    """receiver, step, sender (pseudonym), vehicle that sent, send_s, receive_s, `POSE` as reported, is_attack; by
-    receiver and time of reception."""
+    """receiver, step, received_step, sender (pseudonym), vehicle that sent, send_s, receive_s, `POSE` as reported,
+    is_attack; by receiver and time of reception."""
 
 
 def message_steps(selection: Selection) -> Int[ndarray, "s"]:
@@ -54,13 +54,13 @@ def message_steps(selection: Selection) -> Int[ndarray, "s"]:
 def receptions_of(selection: Selection, receivers: list[int]) -> pd.DataFrame:
     """Receptions of perception messages by these vehicles in the chosen steps, with `send_s` and `receive_s`.
 
-    The column step is that of the message.
+    The column step is that of the message, `received_step` that of the reception.
     """
     columns = ["step", "message_step", "sender", "receiver", "generation_offset_s", "latency_s"]
     where = at_steps(selection.steps) & pc.field("receiver").isin(receivers)
     where &= pc.field("message_type") == "cpm"
     got = selection.run.table("receptions", columns, where)
-    got = got.drop(columns="step").rename(columns={"message_step": "step"})
+    got = got.rename(columns={"step": "received_step", "message_step": "step"})
     got["send_s"] = got.step * selection.run.dt_s + got.generation_offset_s
     got["receive_s"] = got.send_s + got.latency_s
     return got

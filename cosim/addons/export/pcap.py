@@ -123,7 +123,11 @@ class Pcap:
             sent = Unit("sent", lambda clouds: iter([File("sent.pcap", packets.sent)]))
             return Plan((sent, names), 0, 0, 2.0 * PACKET_BYTES * len(selection.presence))
         units = units_of(selection, packets.received)
-        return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"))
+        received = receptions_of(selection, list(selection.vehicles))
+        n_of_units = int((~received.sender.isin(selection.run.subjects.index)).sum())
+        why = f"{n_of_units:,} received messages of roadside units are left out: the table actors does not place them."
+        remarks = (why,) if n_of_units else ()
+        return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"), remarks)
 
 
 def projection_of(at: PcapPlace, selection: Selection) -> Projection:

@@ -6,8 +6,8 @@ Notes
 heading [m/s2]; `hed` clockwise from north [degrees]; times in nanoseconds; `sender_alias` is the pseudonym;
 `attacker` is 1 from the first attack of the sender on. `distance_to_road_edge` is positive on a lane and negative
 beside all of them [m], of the position as reported. `pos_noise` and `hed_noise` of a sender are the standard deviations
-of the errors of its position and heading (`gnss`); a receiver's own state is the true one. There is one profile of
-drivers.
+of the errors of its position and heading (`gnss`); a receiver's own state is the true one, in the step of
+the reception. There is one profile of drivers.
 """
 
 import json
@@ -60,7 +60,7 @@ def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> 
 
 
 def _array(sent: ExportedMessages, own: pd.DataFrame, got: pd.DataFrame) -> bytes:
-    at = np.searchsorted(own.step.to_numpy(), got.step.to_numpy())
+    at = np.searchsorted(own.step.to_numpy(), got.received_step.to_numpy())
     receiver = _states(own.iloc[at], EXACT)
     sender = _states(got, _noise(sent.selection.run))
     for state, edge_m in zip(sender, got.edge_m, strict=True):

@@ -50,6 +50,13 @@ def test_nextgen_round_trip(run, tmp_path):
     assert n == len(run.receptions) and "vehicles.csv" in made
 
 
+def test_nextgen_receiver_of_a_late_message(tmp_path):
+    """The truck drives with 5 m/s in step 0 and 8 in step 3, in which it receives what was sent in step 2."""
+    made = export(veremi_nextgen.VeremiNextGen, truck.make(tmp_path / "run", late=1), tmp_path)
+    received = [m for m in json.loads(made["veh_1.json"]) if m["sender_id"] == "veh_0"]
+    assert [m["receiver"]["spd"] for m in received] == ["6.0000", "7.0000", "8.0000"]
+
+
 def test_without_self_reports_there_is_nothing_to_export(tmp_path):
     (tmp_path / "run").mkdir()
     run = tiny.make(tmp_path / "run", 4, truck.CONFIG, vehicles=[truck.body(0, "car", (4, 2, 1.5), "a")])

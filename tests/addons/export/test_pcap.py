@@ -84,6 +84,13 @@ def test_what_each_vehicle_received(run, tmp_path):
         assert [f["time_s"] - 1_735_689_600 for f in frames] == pytest.approx([s + 0.75 for s in steps])
 
 
+def test_messages_of_roadside_units_are_counted(tmp_path):
+    """Vehicles 0 and 1 are there in step 0, in which the unit 4 sends."""
+    of = replace(truck.selection(truck.make(tmp_path / "run", units=[4])), projection=lambda: NORTH)
+    (remark,) = pcap.Pcap(pcap.Params(received=True)).plan(of).remarks
+    assert remark.startswith("2 received messages of roadside units are left out")
+
+
 def test_messages_that_were_sent_before_the_chosen_steps(tmp_path):
     """All messages arrive a step late. In step 2 there are those of step 1, when 0, 1 and 3 were there."""
     run = truck.make(tmp_path / "run", late=1)

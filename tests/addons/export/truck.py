@@ -35,8 +35,8 @@ def make(folder, keep=lambda table, row: True, units=(), late=0, detected=(), **
     """Four steps: the car 0 and the truck 1 in all of them, the pedestrian 2 in the last two; 3 is a car behind.
 
     `keep` says of which rows of `observability`, `detections` and `receptions` the run has; `units` are numbers of
-    roadside units; messages arrive `late` steps after theirs; `detected` are further detections; `more` are rows of
-    further tables.
+    roadside units, which send in step 0; messages arrive `late` steps after theirs; `detected` are further detections;
+    `more` are rows of further tables.
     """
     car, truck, walker = (4.5, 1.8, 1.5), (10, 2.5, 3.5), (0.5, 0.5, 1.75)
     vehicles = [
@@ -71,7 +71,8 @@ def make(folder, keep=lambda table, row: True, units=(), late=0, detected=(), **
     receptions = [
         {"step": s + late, "message_step": s, "message_type": "cpm", "sender": a, "receiver": b, "hops": 1,
          "generation_offset_s": 0.25, "latency_s": 0.5, "distance_m": 20.0}
-        for s, a in equipped for b in (0, 1, 3) if a != b and (s, b) in there and s + late < 4
+        for s, a in equipped + [(0, unit) for unit in units]
+        for b in (0, 1, 3) if a != b and (s, b) in there and s + late < 4
     ]  # fmt: skip
     observability, detections, receptions = (
         [row for row in rows if keep(name, row)] for name, rows in (
