@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.addons.netbuild.build import check_out
-from cosim.traffic.fcd import Timestep
+from cosim.traffic.fcd import OBSERVED, Timestep, is_observed
 from cosim.traffic.identity import TypeTable
 from cosim.traffic.replay import opened
 from cosim.traffic.scenario import Scenario
@@ -99,6 +99,7 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
     """Write the trace of all copies, and the vehicle types that occur in it; return the most actors at one time."""
     assert scenario.trace is not None
     ahead, read, convert, _ = opened(scenario.trace, scenario.location())
+    about = {OBSERVED: b""} if is_observed(scenario.trace) else None
     types: set[str] = set()
     n_most, writer = 0, None
     try:
@@ -107,7 +108,7 @@ def _trace(scenario: Scenario, shifts_m: Float[ndarray, "k 2"], out: Path) -> in
                 timestep = convert(timestep)
             types.update(timestep.types)
             n_most = max(n_most, len(timestep.names) * len(shifts_m))
-            table = pa.table(_columns(timestep, shifts_m))
+            table = pa.table(_columns(timestep, shifts_m)).replace_schema_metadata(about)
             writer = writer or pq.ParquetWriter(out / "fcd.parquet", table.schema, compression="zstd")
             writer.write_table(table)
     finally:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cosim.addons.netbuild.tiling import tile
-from cosim.traffic.fcd import timesteps
+from cosim.traffic.fcd import is_observed, timesteps
 from cosim.traffic.scenario import find
 from sumo_nets.footprints import read_footprints
 from sumo_nets.network import lanes
@@ -88,6 +88,16 @@ def test_a_trace_in_degrees_is_placed_by_the_projection(city, tmp_path):
     for timestep in timesteps(tmp_path / "two" / "fcd.parquet"):
         wanted = [[500, 800], [500 + np.ceil(east - west), 800]]
         assert np.allclose(timestep.front_m[:, :2], wanted, atol=0.02)
+
+
+def test_copies_of_recorded_positions_are_recorded_positions(city, tmp_path):
+    """Their vehicles come into view and leave it, and do not enter and leave the road."""
+    positions = tmp_path / "positions.csv"
+    positions.write_text("id,time,x,y\na,0,100,200\na,1,110,200\n")
+    assert cosim("trace", str(positions), "--out", str(tmp_path / "seen.parquet")).returncode == 0
+    for trace, is_seen in ((tmp_path / "seen.parquet", True), (city.trace, False)):
+        tile(replace(city, trace=trace), 1, 2, tmp_path / trace.stem)
+        assert is_observed(tmp_path / trace.stem / "fcd.parquet") == is_seen
 
 
 def test_an_empty_trace_is_not_tiled(city, tmp_path):
