@@ -51,6 +51,20 @@ class PositionColumns:
     """Whether y points down, as in an image."""
     is_front: bool = False
     """Whether positions are those of the front bumper. They are centres otherwise."""
+    repeat: str = ""
+    """Column that tells vehicles of one name apart, if names are given several times."""
+    site: str = ""
+    """Column with the place of the recording: those of several places have coordinates and names of their own."""
+
+    def spelled(self, names: Sequence[str]) -> "PositionColumns":
+        """With the capitals and small letters of a header."""
+        of = {name.lower(): name for name in names} | {name: name for name in names}
+        given = {}
+        for field_name in ("actor", "time", "x", "y", "kind", "repeat", "site"):
+            name = getattr(self, field_name)
+            given[field_name] = of.get(name, of.get(name.lower(), name))
+        length, width = (of.get(name, of.get(name.lower(), name)) for name in self.size)
+        return replace(self, size=(length, width), **given)
 
 
 LAYOUTS: dict[str, PositionColumns] = {
@@ -74,6 +88,8 @@ LAYOUTS: dict[str, PositionColumns] = {
         time_unit_s=1e-3,
         length_unit_m=0.3048,
         is_front=True,
+        repeat="Total_Frames",
+        site="Location",
     ),
     "table": PositionColumns("id", "time", "x", "y"),
     "degrees": PositionColumns("id", "time", "lat", "lon", is_degrees=True),
@@ -195,7 +211,7 @@ def layout_of(path: Path) -> str:
         if names[: len(_PNEUMA)] == _PNEUMA:
             return "pneuma"
     for name, columns in LAYOUTS.items():
-        if set(_needed(columns)) <= set(names):
+        if set(_needed(columns.spelled(names))) <= set(names):
             return name
     return ""
 
@@ -403,7 +419,7 @@ def _rows(
                 f"{path}: no layout that is known by its columns ({_said(path)}). Name the columns with --id, "
                 "--time and --x and --y in metres, or --lat and --lon in degrees."
             )
-        columns = LAYOUTS[layout]
+        columns = LAYOUTS[layout].spelled(names)
     columns = replace(
         columns,
         time_unit_s=time_unit_s or columns.time_unit_s,
@@ -443,7 +459,12 @@ def _rows(
         time_s = raw * unit_s
     else:
         time_s = delimited.seconds(path, columns.time, time)
-    actors = delimited.texts(path, columns.actor, table.column(columns.actor)).to_numpy()
+    _check_site(path, columns, table)
+    actors = delimited.texts(path, columns.actor, table.column(columns.actor))
+    if columns.repeat:
+        again = delimited.texts(path, columns.repeat, table.column(columns.repeat))
+        actors = pc.binary_join_element_wise(actors, again, ":")
+    actors = actors.to_numpy()
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
     speed = units.speeds(path, table)
     if unread := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
@@ -472,7 +493,18 @@ def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionCo
         length = width = ""
     elif width not in names:
         width = ""
-    return replace(columns, kind=kinds[0] if kinds else "", size=(length, width))
+    repeat, site = (name if name in names else "" for name in (columns.repeat, columns.site))
+    return replace(columns, kind=kinds[0] if kinds else "", size=(length, width), repeat=repeat, site=site)
+
+
+def _check_site(path: Path, columns: PositionColumns, table: pa.Table) -> None:
+    """Refuse recordings of several places in one file."""
+    sites = pc.unique(table.column(columns.site)).to_pylist() if columns.site else []
+    if len(sites) > 1:
+        raise TrafficError(
+            f"{path}: {columns.site} says {', '.join(map(str, sites[:4]))}: each has coordinates and numbers of its "
+            "own. Keep the rows of one."
+        )
 
 
 def _check_units(path: Path, columns: PositionColumns, time_unit_s: float | None, length_unit_m: float | None) -> None:
@@ -501,7 +533,7 @@ def _kinds_and_sizes(
     if columns.kind:
         texts = delimited.texts(path, columns.kind, table.column(columns.kind))
         kinds = pc.fill_null(texts, "").to_numpy()
-        if columns.kind == "v_Class":
+        if columns.kind.lower() == "v_class":
             kinds = np.array([_NGSIM_CLASS.get(kind, kind) for kind in kinds.tolist()], object)
     if any(columns.size):
         lw_m = np.full((len(actors), 2), np.nan)
@@ -535,7 +567,7 @@ def _table(path: Path, columns: PositionColumns, names: Sequence[str]) -> pa.Tab
         )
     if twice := sorted({name for name in wanted if names.count(name) > 1}):
         raise TrafficError(f"{path}: its header has the column {twice[0]} twice. Remove one of them.")
-    optional = columns.kind, *columns.size, *units.SPEEDS
+    optional = columns.kind, *columns.size, columns.repeat, columns.site, *units.SPEEDS
     wanted += [name for name in optional if name and name in names]
     wanted = list(dict.fromkeys(wanted))
     if path.name.removesuffix(".gz").endswith(".parquet"):

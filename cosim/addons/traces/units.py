@@ -30,10 +30,10 @@ _TIME_WORDS = {
     "hours": "h",
 }
 _LENGTH_WORDS = {"m": "m", "metres": "m", "meters": "m", "ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
-_NGSIM_FEET = {"Local_X", "Local_Y", "Global_X", "Global_Y"}
+_NGSIM_FEET = {"local_x", "local_y", "global_x", "global_y"}
 _SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 """A time that is larger than this is in this unit since 1970: as seconds, it would be after the year 5000."""
-SPEEDS = ("speed", "v_Vel", "speed_mps", "velocity", "vehicle_speed", "xVelocity", "yVelocity", "vx", "vy")
+SPEEDS = ("speed", "v_Vel", "v_vel", "speed_mps", "velocity", "vehicle_speed", "xVelocity", "yVelocity", "vx", "vy")
 """Columns that say a speed, or its parts."""
 _PARTS = (("xVelocity", "yVelocity"), ("vx", "vy"))
 _SPEED_UNITS = (1.0, 1 / 3.6, 0.44704, 0.51444, 0.3048)
@@ -81,7 +81,7 @@ def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
     """Metres per unit of positions, and a word about it if nobody said so. Raises ValueError if x and y differ."""
     if given_m is not None:
         return given_m, ""
-    if {x, y} <= _NGSIM_FEET:
+    if {x.lower(), y.lower()} <= _NGSIM_FEET:
         return LENGTH_M["ft"], f"positions in ft, as those of NGSIM in {x} and {y}"
     later_words = words(x)[1:] + words(y)[1:]
     found = {_LENGTH_WORDS[word] for word in later_words if word in _LENGTH_WORDS}

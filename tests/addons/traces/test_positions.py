@@ -164,6 +164,22 @@ def test_ngsim_is_in_feet_and_milliseconds(tmp_path, columns):
     assert "ngsim" in fixes.read_as[0] or any("in ft" in said for said in fixes.read_as)
 
 
+ALL_SITES = "Vehicle_ID,Total_Frames,Global_Time,Local_X,Local_Y,v_length,v_Width,v_Class,Location\n"
+"""The columns of the file of all sites of NGSIM, as far as they are read."""
+
+
+@pytest.mark.parametrize("head", [ALL_SITES, ALL_SITES.lower()])
+def test_ngsim_of_all_sites(tmp_path, head):
+    """Vehicle 1 of the second period enters 20 s after that of the first has left, 2,000 ft before: at 30 m/s."""
+    rows = [f"1,3,{100 * k},16.8,{2000 + 4 * k},60,8,3,i-80\n" for k in range(3)]
+    rows += [f"1,2,{20_200 + 100 * k},16.8,{4 * k},15,6,2,i-80\n" for k in range(2)]
+    fixes = given(tmp_path, "n.csv", head + "".join(rows))
+    assert fixes.names == ["1:2", "1:3"] and np.bincount(fixes.actor).tolist() == [2, 3]
+    np.testing.assert_allclose(fixes.own_lw_m, 0.3048 * np.array([[15, 6], [60, 8]]))
+    with pytest.raises(TrafficError, match=r"says i-80, us-101: each has coordinates.*Keep the rows of one"):
+        given(tmp_path, "m.csv", head + "".join(rows) + "2,1,0,0,0,15,6,2,us-101\n")
+
+
 METRES = [("a", t, 12.0 * t, 0.0, 12.0) for t in range(6)]
 
 
