@@ -45,7 +45,7 @@ _ODD = (0.2, 2.0)
 
 def words(name: str) -> list[str]:
     """Words of a column's name, in lower case."""
-    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[XY])(?=[a-z])", " ", name).lower())
 
 
 def is_number(column: pa.ChunkedArray) -> bool:

@@ -212,6 +212,9 @@ def test_columns_whose_names_say_another_unit(tmp_path):
     text = "id,time_ms,x_ft,y_ft,frame,lon\na,0,10,20,0,1\na,100,20,20,1,1\n"
     fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_ms", "x_ft", "y_ft"))
     assert fixes.time_s.tolist() == [0, 0.1] and fixes.xy_m[1, 0] == pytest.approx(6.096)
+    city_sim = text.replace("x_ft,y_ft", "carCenterXft,carCenterYft")
+    fixes = given(tmp_path, "c.csv", city_sim, columns=PositionColumns("id", "time_ms", "carCenterXft", "carCenterYft"))
+    assert fixes.xy_m[1, 0] == pytest.approx(6.096)
     with pytest.raises(TrafficError, match=r"named as frame numbers\. Set --frame-hz"):
         given(tmp_path, "t.csv", text, columns=PositionColumns("id", "frame", "x_ft", "y_ft"))
     with pytest.raises(TrafficError, match="the column lon is named as degrees"):
