@@ -200,6 +200,8 @@ class CsmaMedium:
         waits = (own_ns >= now.now_ns) & (own_ns + units["airtime_ns"] <= units["end_ns"])
         airtime_ns = np.zeros(len(stations), np.int64)
         np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
+        longest_ns = units["airtime_ns"].max(initial=0)  # of what stations forward that send nothing themselves
+        on_air_ns = np.where(airtime_ns > 0, airtime_ns, longest_ns)
         windows: list[WindowResult] = []
         busy_ns = np.zeros(len(stations))
         while now.now_ns < until_ns:
@@ -210,7 +212,7 @@ class CsmaMedium:
             stop_ns = min(max(start_ns, stop_ns) + period_ns, until_ns)
             due = np.flatnonzero(waits & (own_ns < stop_ns))
             waits[due] = False
-            gap_ns = dcc.gap_ns(control, stations.key, params, airtime_ns)
+            gap_ns = dcc.gap_ns(control, stations.key, params, on_air_ns)
             if stations.abuse is not None:
                 gap_ns = np.where(stations.abuse.ignores_dcc, 0, gap_ns)
             packets = plan.packets(due, lifetime_ns)

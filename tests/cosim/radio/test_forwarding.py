@@ -164,3 +164,18 @@ def test_forwarding_equals_the_literal_twin(relay, refused_p):
         state, found = fast(stations, messages, medium, state, i)
         assert found == expected
         assert found[1] > 50 and found[2] > 50 and max(hops for hops, _ in found[0].values()) == relay.max_hops
+
+
+def test_adaptive_control_holds_forwarded_frames_back():
+    """Four vehicles around a fifth one, which alone hears them. At the smallest share it rests longer than the round."""
+    xyz = np.array([[200, 0, 1.6], [0, 200, 1.6], [-200, 0, 1.6], [0, -200, 1.6], [0, 0, 1.6]])
+    stations = Stations(rng.keys(np.uint64(3), np.arange(5)), xyz, 5)
+    air = replace(AIR, shadowing=False, fading="none", exponent=2.0)
+    relay, control = RelayParams(max_hops=2), DccParams(algorithm="adaptive")
+    medium = CsmaMedium(RadioParams(range_m=RANGE_M, propagation=air, relay=relay, dcc=control), ROUND_S, 5, None)
+    messages = Messages(np.arange(4), np.full(4, 300))
+    for share, n_relayed in ((0.03, 4), (0.0006, 1)):
+        state = medium.start()
+        state = replace(state, dcc=replace(state.dcc.of(stations.key), share=np.full(5, share)))
+        _, happened = medium.broadcast(state, RoundKind(0), 0, 0.0, stations, messages)
+        assert happened.frames.n_relayed == n_relayed
