@@ -234,7 +234,7 @@ class SidelinkMedium:
         unit, slot_ns = log.unit, self._slot_ns
         attempts_of = _transmissions(plan, log, links, messages, slot_ns)
         attempts = ReceptionAttempts.of(attempts_of, cache.neighbours)
-        receptions, n_duplicate = complete_messages(
+        receptions, _ = complete_messages(
             attempts_of, attempts, plan.generated_ns, plan.n_segments, np.full(len(messages), begin_ns),
             messages.station, stations.xyz_m[:, :2], begin_ns,
         )  # fmt: skip
@@ -255,7 +255,7 @@ class SidelinkMedium:
             outcome=attempts.outcome,
             n_transmissions=np.bincount(plan.message, n_sent, len(messages)).astype(np.int64),
             n_relayed=0,
-            n_duplicate=int(n_duplicate.sum()),
+            n_duplicate=0,  # the transmissions of a segment are received together, once
             sent_bytes=float(np.sum((plan.payload_bytes + MAC_OVERHEAD_BYTES) * n_sent)),
             cbr=busy / (len(log.head_sent) * self.carrier.n_subchannels),
         )
