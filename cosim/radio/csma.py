@@ -200,8 +200,8 @@ class CsmaMedium:
         waits = (own_ns >= now.now_ns) & (own_ns + units["airtime_ns"] <= units["end_ns"])
         airtime_ns = np.zeros(len(stations), np.int64)
         np.maximum.at(airtime_ns, units["source"], units["airtime_ns"])
-        longest_ns = units["airtime_ns"].max(initial=0)  # of what stations forward that send nothing themselves
-        on_air_ns = np.where(airtime_ns > 0, airtime_ns, longest_ns)
+        mean_ns = units["airtime_ns"].sum() // max(len(units), 1)  # of what stations forward that send nothing else
+        on_air_ns = np.where(airtime_ns > 0, airtime_ns, mean_ns)
         windows: list[WindowResult] = []
         busy_ns = np.zeros(len(stations))
         while now.now_ns < until_ns:

@@ -167,7 +167,7 @@ def test_forwarding_equals_the_literal_twin(relay, refused_p):
 
 
 def test_adaptive_control_holds_forwarded_frames_back():
-    """Four vehicles around a fifth one, which alone hears them. At the smallest share it rests longer than the round."""
+    """Four vehicles around a fifth one, which alone hears them. At the least share it rests longer than the round."""
     xyz = np.array([[200, 0, 1.6], [0, 200, 1.6], [-200, 0, 1.6], [0, -200, 1.6], [0, 0, 1.6]])
     stations = Stations(rng.keys(np.uint64(3), np.arange(5)), xyz, 5)
     air = replace(AIR, shadowing=False, fading="none", exponent=2.0)
