@@ -11,6 +11,7 @@ settings.register_profile("untimed", deadline=None)  # the first call of a kerne
 settings.load_profile("untimed")
 
 plain_world.enter()
+gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
 
 
 def pytest_addoption(parser):

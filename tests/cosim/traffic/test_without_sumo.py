@@ -45,7 +45,12 @@ def ended(tmp_path_factory):
     """The folder of some commands, and how each of them ended: those that are refused, a list, and a run."""
     folder = tmp_path_factory.mktemp("hidden")
     trace = write_trace(folder)
-    run = ["run", "--set", f"traffic.scenario={trace}", "--set", "traffic.duration_s=5", "--out", "run"]
+    run = [
+        "run",
+        *set_words([f"traffic.scenario={trace}", "traffic.duration_s=5", "compute.threads=1"]),
+        "--out",
+        "run",
+    ]
     done = in_turn(*(words for words, _ in REFUSED.values()), ["nets", "list"], run, cwd=folder, before=HIDE)
     return folder, dict(zip((*REFUSED, "list", "run"), done, strict=True))
 
