@@ -57,7 +57,7 @@ def test_los_below_an_elevated_building():
 
 def test_walls_and_metres_by_hand():
     xyz = np.array([[-5, 5, 1.5], [15, 5, 1.5], [5, -5, 1.5], [1, 5, 1.5], [-5, 12, 1.5], [2, 5, 1.5]])
-    a, b = np.array([0, 1, 0, 3, 0, 3]), np.array([1, 0, 3, 1, 4, 5])
+    a, b = np.int32([[0, 1, 0, 3, 0, 3], [1, 0, 3, 1, 4, 5]])
     for ring in (SQUARE, SQUARE[::-1]):
         for yard in (YARD[0], YARD[0][::-1]):  # the yard spans 3 ... 7 m
             n_walls, inside_m = index_of([(ring, [yard], 0.0, 6.0)], cell_m=3.0).walls_crossed(xyz, a, b)
@@ -68,7 +68,7 @@ def test_walls_and_metres_by_hand():
 def test_walls_and_metres_agree_with_shapely():
     buildings, g = town(6), np.random.default_rng(8)
     xyz = np.column_stack([g.uniform(-60, 650, 2000), g.uniform(-60, 550, 2000), np.full(2000, 1.5)])
-    a, b = np.arange(1000), np.arange(1000, 2000)
+    a, b = np.arange(2000, dtype=np.int32).reshape(2, 1000)
     n_walls, inside_m = index_of(buildings).walls_crossed(xyz, a, b)
     city = shapely.union_all([shapely.Polygon(o, h) for o, h, *_ in buildings])
     lines = lines_between(xyz, a, b)

@@ -26,7 +26,7 @@ def test_the_tallest_of_the_bodies_that_shapely_finds():
     xyz_m = np.column_stack([g.uniform(0, 400, (n, 2)), np.full(n, 1.6)])
     lwh_m = np.column_stack([g.uniform(3, 14, n_bodies), g.uniform(1.5, 2.6, n_bodies), g.uniform(1.4, 4, n_bodies)])
     bodies = bodies_of(g.uniform(0, 400, (n_bodies, 2)), lwh_m, g.uniform(-np.pi, np.pi, n_bodies), np.full(n, -1))
-    a, b = (rows[g.permutation(len(rows))[:1500]] for rows in np.triu_indices(n, 1))
+    a, b = (rows[g.permutation(len(rows))[:1500]] for rows in np.int32(np.triu_indices(n, 1)))
     keep = a != b
     found = tallest_blocker_m(xyz_m, a[keep], b[keep], bodies)
     boxes = [
@@ -61,7 +61,7 @@ def test_a_truck_between_two_cars_by_hand():
 
 def test_the_bodies_of_the_two_ends_do_not_block_and_bridges_neither():
     xyz_m = np.array([[0.0, 0, 1.6], [60.0, 0, 1.6]])
-    a, b = np.array([0]), np.array([1])
+    a, b = np.int32([[0], [1]])
     own = bodies_of([[0, 0], [60, 0]], [[12, 2.5, 3.0]] * 2, [0.0, 0.0], [0, 1])
     assert tallest_blocker_m(xyz_m, a, b, own)[0] == 0
     assert tallest_blocker_m(xyz_m, a, b, replace(own, own=np.array([-1, -1])))[0] == 3.0

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from cosim.step.trackers.inter_reception import InterReceptionTracker, pairs_within_range
 
 PAIRS = [(a, b) for a in range(3) for b in range(3) if a != b]
+KINDS = np.int32, np.int32, np.int64
+"""As a run has them: with other types, the kernel would be compiled once more."""
 
 
 frames = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 6), st.integers(1, 3)), max_size=60)
@@ -20,14 +22,14 @@ heard = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 3)), max_size=20)
 @given(st.lists(st.integers(0, 6), min_size=6, max_size=6), frames, heard)
 def test_pairs_within_range_against_sets(station, frames, heard):
     """Four vehicles and three other stations; the second hop of a frame reaches beyond the range of its author."""
-    actor, author = np.array([2, 3, 7, 2**20]), np.array([0, 3, 1, 0, 2, 2])
-    message, receiver, hop = (np.array([frame[k] for frame in frames], np.int64) for k in range(3))
-    columns = (np.array([one[k] for one in heard], np.int64) for k in range(2))
+    actor, author = np.array([2, 3, 7, 2**20], np.int32), np.array([0, 3, 1, 0, 2, 2])
+    message, receiver, hop = (np.array([frame[k] for frame in frames], KINDS[k]) for k in range(3))
+    columns = (np.array([one[k] for one in heard], np.int32) for k in range(2))
     given, n_sent = (message, receiver, hop, author, *columns, actor), np.array([1, 6, 0, 2])
     pair, got, n_in_range = pairs_within_range(np.array(station), *given, n_sent)
     near = sorted({(station[m], r) for m, r, h in frames if h == 1 and station[m] < 4 and r < 4})
     received = {(author[m], r) for m, r in heard}
-    assert pair.tolist() == [actor[i] * 2**32 + actor[j] for i, j in near]
+    assert pair.tolist() == [int(actor[i]) << 32 | int(actor[j]) for i, j in near]
     assert got.tolist() == [one in received for one in near]
     assert n_in_range.tolist() == [sum(n_sent[i] for i, j in near if j == k) for k in range(len(actor))]
 
@@ -39,7 +41,7 @@ def follow(rounds, every, swap=lambda tracker: tracker, silent=None):
         pairs = sorted(in_range)
         received = np.array([in_range[pair] for pair in pairs], bool)
         pair = np.array([(a << 32) + b for a, b in pairs], np.int64)
-        now_silent = np.array(sorted(silent[i]) if silent else [], np.int64)
+        now_silent = np.array(sorted(silent[i]) if silent else [], np.int32)
         tracker, found = tracker.next(i * every, pair, received, now_silent)
         columns = (found[name].tolist() for name in ("pir_steps", "n_received", "n_censored"))
         rows += [(i * every, *row) for row in zip(*columns, strict=True)]
