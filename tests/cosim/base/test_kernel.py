@@ -5,8 +5,6 @@ import importlib
 import os
 import pickle
 import pkgutil
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -21,6 +19,7 @@ import sensors
 import sumo_nets
 import trust
 from cosim.base import kernel  # which gives Numba its index
+from tests.drive import python
 
 MINE = """
 from typing import NamedTuple
@@ -39,20 +38,14 @@ def summed(pair):
 """
 
 
-def run(folder, code):
-    """Run code in a process that can import the module `mine`."""
-    code = f"import sys; sys.path.insert(0, {str(folder)!r}); {code}"
-    return subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-
-
 def test_an_index_with_types_of_an_earlier_version_counts_as_empty(tmp_path):
     mine = tmp_path / "mine.py"
     mine.write_text(MINE)
-    assert run(tmp_path, "import mine; print(mine.summed(mine.Pair(1, 2)))") == "3\n"
+    assert python("import mine; print(mine.summed(mine.Pair(1, 2)))", cwd=tmp_path) == "3\n"
     indexes = list(tmp_path.rglob("*.nbi"))
     assert indexes, "it is cached"
     mine.write_text(MINE.replace("Pair", "Couple"))
-    assert run(tmp_path, "import mine; print(mine.summed(mine.Couple(1, 2)))") == "3\n"
+    assert python("import mine; print(mine.summed(mine.Couple(1, 2)))", cwd=tmp_path) == "3\n"
     with indexes[0].open("rb") as file:
         assert pickle.load(file), "the index is written anew, after the version of Numba"
 
@@ -125,13 +118,13 @@ def test_what_a_cached_function_calls_may_change_in_other_files(tmp_path):
     (tmp_path / "calling.py").write_text(CALLING)
     theirs.write_text(THEIRS)
     pairs.write_text(PAIR)
-    assert run(tmp_path, asked) == "(2.0, 2.0, 2.0, 7) 0\n"
-    assert run(tmp_path, asked) == "(2.0, 2.0, 2.0, 7) 1\n"
+    assert python(asked, cwd=tmp_path) == "(2.0, 2.0, 2.0, 7) 0\n"
+    assert python(asked, cwd=tmp_path) == "(2.0, 2.0, 2.0, 7) 1\n"
     theirs.write_text(THEIRS.replace("1.0", "10.0"))
-    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 7) 0\n"
+    assert python(asked, cwd=tmp_path) == "(11.0, 11.0, 11.0, 7) 0\n"
     pairs.write_text(PAIR.replace("a: int\n    b", "b: int\n    a"))
-    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 0\n"
-    assert run(tmp_path, asked) == "(11.0, 11.0, 11.0, 8) 1\n"
+    assert python(asked, cwd=tmp_path) == "(11.0, 11.0, 11.0, 8) 0\n"
+    assert python(asked, cwd=tmp_path) == "(11.0, 11.0, 11.0, 8) 1\n"
 
 
 def test_no_kernel_calls_a_function_with_reference_counts():
