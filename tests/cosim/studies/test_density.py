@@ -13,6 +13,7 @@ from cosim.studies.plan import PlannedRun, StudyPlan
 from cosim.studies.speed import MachineSpeed, Pace, remember, remembered, speed_here
 from results.tables import SCHEMA_VERSION
 from tests.hostile.scenes import write_town, write_trace
+from tests.slow import slow
 
 
 def test_cities_are_told_apart():
@@ -110,7 +111,10 @@ MEASURED = {
 """Processor time [s], memory [MB] and disk [MB] of runs on the machine of the costs, which did nothing else."""
 
 
-@pytest.mark.parametrize("sets", MEASURED)
+OTHER_CITIES = ("scenario=adlershof", "scenario=braunschweig")  # they are read for seconds
+
+
+@pytest.mark.parametrize("sets", [slow(s) if any(city in s for city in OTHER_CITIES) else s for s in MEASURED])
 def test_estimates_are_near_what_runs_took(sets):
     cost = cost_of(load(None, sets.split()), MachineSpeed())
     for found, measured in zip(

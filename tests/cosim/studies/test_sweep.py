@@ -105,6 +105,7 @@ def test_a_sweep_says_what_it_does(swept):
     assert said.splitlines()[-1] == "next: cosim report out   cosim measure out"
 
 
+@pytest.mark.verify
 def test_notes_on_runs_are_said_once(tmp_path):
     """Two runs of a trace that ends after 9 s of the 20 s that are asked for."""
     rows = [f"{t};a;{5 * t};0;90;car;5" for t in range(10)]

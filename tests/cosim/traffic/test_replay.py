@@ -11,6 +11,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 import pytest
 
+from cosim.runs.run import new_remarks
 from cosim.traffic.interpolation import curve
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.replay import TraceReplay
@@ -129,6 +130,9 @@ def test_a_run_that_outlives_its_trace_ends_and_says_so(tmp_path):
     manifest = json.loads((tmp_path / "longer" / "manifest.json").read_text())
     assert manifest["steps"] == 5 and manifest["status"] == "finished"
     assert fingerprint(tmp_path / "longer") == fingerprint(tmp_path / "live")
+    said = {}
+    assert len(new_remarks(tmp_path / "longer", said)) == 1
+    assert new_remarks(tmp_path / "longer", said) == [], "a study says it once"
 
 
 def test_every_second_moment_of_a_finer_trace(tmp_path):
