@@ -148,7 +148,7 @@ class CsmaMedium:
         new["n_segments"], new["station"] = n_segments, messages.station
         new["is_background"] = False if messages.is_background is None else messages.is_background
         earlier, frame_number = state.underway.among(stations.key)
-        plan = _RoundPlan.of(number, begin_ns, end_ns, new, units, messages.refused, earlier, stations)
+        plan = _RoundPlan.of(number, begin_ns, end_ns, new, units, messages.refused, earlier)
         frame_number = np.where(frame_number == NONE, NONE, frame_number + len(units))
         return plan, _with_tags(state.channel, frame_number)
 
@@ -286,7 +286,6 @@ class _RoundPlan:
         units: ndarray,
         refused: Int[ndarray, "p"] | None,
         earlier: Underway,
-        stations: Stations,
     ) -> "_RoundPlan":
         """The plan of new messages and of earlier ones, whose stations have rows."""
         n_new, n_units = len(messages), len(units)
@@ -420,7 +419,7 @@ def _happened(
     busy: Float[ndarray, "n"],
 ) -> tuple[MessageRound, ReceptionAttempts]:
     """Receptions since `since_ns`, and the outcome of each frame at every station in range."""
-    state = _frame_states(plan, sent, ending)
+    state = _frame_states(plan, ending)
     attempts = ReceptionAttempts.of(sent, neighbours, state, plan.got_ptr, plan.got_by)
     receptions, n_duplicate = complete_messages(
         sent,
@@ -446,7 +445,7 @@ def _happened(
     return replace(happened, earlier=tuple(earlier)), attempts
 
 
-def _frame_states(plan: _RoundPlan, sent: Transmissions, ending: _RoundEnd) -> UInt8[ndarray, "f"]:
+def _frame_states(plan: _RoundPlan, ending: _RoundEnd) -> UInt8[ndarray, "f"]:
     """The `FrameState` of each frame: what was told in an earlier round is not told again."""
     state = np.where(ending.waits, FrameState.WAITS, FrameState.DECIDED).astype(np.uint8)
     n_new_frames = int(np.searchsorted(plan.units["message"], plan.n_new))

@@ -315,7 +315,7 @@ class MessageRound:
         )
 
     @staticmethod
-    def silent(n_stations: int = 0) -> "MessageRound":
+    def silent() -> "MessageRound":
         """A round without messages."""
         row = np.zeros(0, np.int64)
         real = np.zeros(0)

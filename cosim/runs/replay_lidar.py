@@ -46,7 +46,7 @@ def city_of(config: Config) -> Scene:
     return with_meshes(city, config.meshes, config.vehicle_meshes)
 
 
-def worlds(run: Run, config: Config, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
+def worlds(run: Run, steps: Int[ndarray, "s"] | None = None) -> Iterator[World]:
     """The worlds of these steps as they were sensed, in ascending order.
 
     Parameters

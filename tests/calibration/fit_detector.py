@@ -97,7 +97,7 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     truth, poses = kitti_frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
     n_frames = n_actors = 0
-    for world in replay_lidar.worlds(run, config):
+    for world in replay_lidar.worlds(run):
         observers = np.flatnonzero(world.equipped)
         if world.step not in steps or not len(observers):
             continue

@@ -96,7 +96,7 @@ FUNCTIONS = {
     "cosim.runs.replay_lidar.config_of": lambda f, at: f(open_run(at["run"])),
     "cosim.addons.pictures.pictures.film": lambda f, at: f(open_run(at["run"]), 0, at["out"] / "api.gif"),
     "cosim.addons.pictures.pictures.replay_scan": lambda f, at: f(open_run(at["run"]), 0, 2),
-    "cosim.runs.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]), load())),
+    "cosim.runs.replay_lidar.worlds": lambda f, at: list(f(open_run(at["run"]))),
     "cosim.addons.export.view.first_look": None,  # these two are given a run that `view` has opened
     "cosim.addons.export.view.role_colours": None,
     "cosim.addons.export.view.follow": lambda f, at: f(at["run"], at["out"] / "followed.rrd"),

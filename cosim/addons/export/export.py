@@ -78,7 +78,7 @@ class Sweeper:
         if step not in self._block:
             at = int(np.searchsorted(self.steps, step))
             block = self.steps[at : at + self.config.record.block_steps]
-            self._block = {world.step: world for world in worlds(self.run, self.config, block)}
+            self._block = {world.step: world for world in worlds(self.run, block)}
         world = self._block[step]
         row = np.searchsorted(world.actor, np.asarray(vehicles))
         sweeps = sweep(self.config, self.city, world, row)

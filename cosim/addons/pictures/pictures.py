@@ -51,7 +51,7 @@ def replay_scan(run: Run, vehicle: int, step: int) -> ReplayedScan:
             + (f", and senses in every {every}th." if every > 1 else ".")
         )
     run.require("actors", "vehicles", "detections")
-    world = next(worlds(run, config, np.array([step])), None)
+    world = next(worlds(run, np.array([step])), None)
     if world is None:
         raise ValueError(f"--step {step}: no actor is on the road then.")
     equipped = world.actor[world.equipped]
@@ -132,7 +132,7 @@ def scene(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
     (run,) = runs
     out = out or run.path / f"scene-{step}.png"
     config = config_of(run)
-    world = next(worlds(run, config, np.array([step])), None)
+    world = next(worlds(run, np.array([step])), None)
     if world is None or step % config.schedule.exchange_every_steps:
         raise ValueError(f"--step {step}: no vehicle senses then in {run.path}.")
     equipped = np.flatnonzero(world.equipped)

@@ -67,7 +67,7 @@ def findings(stage: Stage) -> tuple[list[Finding], Observations]:
         return State.start(parts).trust.hosts[0].model
 
     def played(rows: list[Reception], late_steps: int = 0, reverse: bool = False, ask: bool = False) -> TrustScores:
-        return _played(new_model(), steps, rows, late_steps, reverse, ask, seen)
+        return _played(new_model(), steps, rows, late_steps, reverse, ask)
 
     played(receptions)  # compiles
     begin_s = time.perf_counter()
@@ -87,7 +87,6 @@ def _played(
     late_steps: int,
     reverse: bool,
     ask: bool,
-    seen: Observations,
 ) -> TrustScores:
     """Scores of a model at the end of the scene.
 

@@ -33,7 +33,7 @@ def test_clouds_are_those_of_the_run(folder, vehicles, tmp_path):
     assert done["sweeps"] == 12 and 0.5 < done["estimated_bytes"] / done["bytes"] < 2
     config = replay_lidar.config_of(run)
     city = replay_lidar.city_of(config)
-    for number, world in enumerate(replay_lidar.worlds(run, config, np.arange(2, 6))):
+    for number, world in enumerate(replay_lidar.worlds(run, np.arange(2, 6))):
         rows = np.searchsorted(world.actor, vehicles)
         sweeps = replay_lidar.sweep(config, city, world, rows)
         seen = run.observability[run.observability.step == world.step]

@@ -71,7 +71,7 @@ def test_plot_scene(folder, tmp_path):
     out = pictures.scene([run], [], 4, tmp_path / "scene.png")
     assert out.stat().st_size > 50_000
     config = replay_lidar.config_of(run)
-    world = next(replay_lidar.worlds(run, config, np.array([4])))
+    world = next(replay_lidar.worlds(run, np.array([4])))
     sweeps = replay_lidar.sweep(config, replay_lidar.city_of(config), world, np.flatnonzero(world.equipped)[:4])
     for o in range(4):
         xyz, hit = sweeps.poses.to_world(o, sweeps.xyz(o)), sweeps.hit[o][sweeps.has_return(o)]

@@ -24,7 +24,7 @@ def test_the_same_returns(folder, tmp_path, rotates):
     config = replay_lidar.config_of(run)
     city = replay_lidar.city_of(config)
     recorded, n = run.observability, 0
-    for world in replay_lidar.worlds(run, config):
+    for world in replay_lidar.worlds(run):
         observers = np.flatnonzero(world.equipped)
         seen = observability(replay_lidar.sweep(config, city, world, observers), world.boxes, world.shape)
         again = pd.DataFrame({

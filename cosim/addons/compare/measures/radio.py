@@ -218,7 +218,7 @@ def sight_past_everything(
     every = max(1, round(every_s / run.dt_s))
     steps = np.arange(0, int(run.manifest["steps"]), every)
     clear, n = np.zeros((2, len(far)))
-    for world in worlds(run, config, steps):
+    for world in worlds(run, steps):
         moving = ~name.reindex(world.actor).str.startswith((PARKED, OBJECT)).to_numpy(bool)
         row = np.flatnonzero(moving & (world.shape <= Shape.BUS))
         boxes = world.boxes

@@ -148,7 +148,7 @@ def cloud_bytes(run: Run, *, profile: str | None = None, sweeps: int = 40) -> li
         config = replace(config, lidar=replace(config.lidar, profile=profile))  # type: ignore[arg-type]
     city, counts = city_of(config), []
     steps = np.linspace(0, int(run.manifest["steps"]) - 1, 4).astype(int)
-    for world in worlds(run, config, steps):
+    for world in worlds(run, steps):
         row = np.flatnonzero(world.equipped)[: -(-sweeps // len(steps))]
         range_m = sweep(config, city, world, row).range_m
         counts += np.isfinite(range_m).sum(axis=(1, 2)).tolist()
