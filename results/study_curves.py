@@ -25,9 +25,9 @@ def counts(run: Run) -> pd.DataFrame:
     Returns
     -------
     what: `encounters` or `ages`. group: the definition of an encounter; empty for ages. value_s. n: encounters that
-    ended after this time, or lookups whose newest evaluation is so old. n_open: encounters whose end was not observed;
-    with an infinite value, lookups without any evaluation. Encounters whose start was not observed are left out. A run
-    without encounters, or without lookups, has no rows of them.
+    ended after this time, or lookups whose newest evaluation is so old. n_open: encounters that were followed for so
+    long; with an infinite value, lookups without any evaluation. Encounters whose start was not observed are left out.
+    A run without encounters, or without lookups, has no rows of them.
     """
     parts = []
     for part in (_encounters, _ages):
@@ -42,9 +42,9 @@ def counts(run: Run) -> pd.DataFrame:
 
 def _encounters(run: Run) -> pd.DataFrame:
     frame = encounters.durations(run)
-    seen = frame.assign(group=encounters.named(frame))[frame.start_seen.to_numpy()]
-    ended = seen.end_seen.to_numpy(bool)
-    found = pd.DataFrame({"group": seen.group.to_numpy(), "value_s": seen.duration_s.to_numpy(float)})
+    seen = frame.assign(group=encounters.named(frame))[encounters.followed(frame).to_numpy()]
+    ended = seen.over.to_numpy(bool)
+    found = pd.DataFrame({"group": seen.group.to_numpy(), "value_s": seen.lasted_s.to_numpy()})
     found = found.assign(n=ended.astype(np.int64), n_open=(~ended).astype(np.int64))
     return found.groupby(["group", "value_s"], as_index=False).sum().assign(what=ENCOUNTERS)
 

@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float, Int
+from numpy import ndarray
 
 from cosim.base.codes import PARKED
 from results.metrics import intervals
@@ -22,7 +24,8 @@ _KINDS = {"pairs": str, "radius_m": float | int, "hysteresis_s": float | int, "l
 _MOST = 1e9
 """No radius [m] and no time [s] of a definition is larger."""
 _COLUMNS = (
-    *DEFINITION, "a", "b", "duration_s", "censored_left", "censored_right", "departed", "gap_s",
+    *DEFINITION, "a", "b", "start_step", "end_step", "duration_s", "censored_left", "censored_right", "departed",
+    "gap_s",
 )  # fmt: skip
 
 
@@ -121,7 +124,8 @@ def begun(run: Run, radius_m: float | None = None, pairs: str | None = None) -> 
 
 
 def durations(run: Run, departure: Departure = "ends") -> pd.DataFrame:
-    """One row per encounter: the columns of `DEFINITION`, a, b, duration_s, gap_s, `start_seen` and `end_seen`."""
+    """One row per encounter: the columns of `DEFINITION`, a, b, duration_s, gap_s, `start_seen` and `end_seen`; and
+    `lasted_s` and `over`: for how long it was followed, and whether it ended then (`survival`)."""
     frame = _durations(run, departure)
     if frame.empty:
         raise ValueError(
@@ -136,9 +140,26 @@ def _durations(run: Run, departure: Departure) -> pd.DataFrame:
     end_seen = ~frame.censored_right
     if departure == "censors":
         end_seen &= ~frame.departed
-    return frame.assign(start_seen=~frame.censored_left, end_seen=end_seen)[
-        [*DEFINITION, "a", "b", "duration_s", "gap_s", "start_seen", "end_seen"]
-    ]
+    last_step = followed_until(run, frame.hysteresis_s.to_numpy(np.float64))
+    over = end_seen & (frame.end_step <= last_step)
+    until = np.minimum(frame.end_step - ~end_seen, last_step)  # cut off: not known to end with that step
+    lasted_s = np.round((until - frame.start_step) * run.dt_s, 6)
+    frame = frame.assign(start_seen=~frame.censored_left, end_seen=end_seen, lasted_s=lasted_s, over=over)
+    return frame[[*DEFINITION, "a", "b", "duration_s", "gap_s", "start_seen", "end_seen", "lasted_s", "over"]]
+
+
+def fewest_steps(hysteresis_s: Float[ndarray, "n"], dt_s: float) -> Int[ndarray, "n"]:
+    """Least number of steps out of contact that end an encounter, of times in single precision."""
+    n = np.ceil(hysteresis_s / dt_s * (1 - 1e-6))
+    return np.maximum(1, n).astype(np.int64)
+
+
+def followed_until(run: Run, hysteresis_s: Float[ndarray, "n"]) -> Int[ndarray, "n"]:
+    """Step up to which encounters are followed: of contact that breaks off later, it is not known whether it is over.
+
+    Those breaks are as many as ends. To take their encounters for cut off there would hide these ends.
+    """
+    return int(run.manifest["steps"]) - fewest_steps(hysteresis_s, run.dt_s)
 
 
 def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
@@ -150,8 +171,9 @@ def survival(run: Run, departure: Departure = "ends") -> pd.DataFrame:
 
     Notes
     -----
-    Encounters whose end was not observed count for as long as they were observed. Those whose start was not
-    observed are left out: they are a sample biased to long ones, of unknown age (`summary` says how many).
+    Encounters that go on after `followed_until` count up to then, and other ones whose end was not observed up to the
+    step before. Those whose start was not observed are left out: they are a sample biased to long ones, of unknown age
+    (`summary` says how many).
     """
     groups = durations(run, departure).groupby([*DEFINITION], observed=True)
     curves = {kind: _curve(frame) for kind, frame in groups}
@@ -192,9 +214,9 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 "median_s": float(frame.duration_s.median()),
                 **_mean(frame, ~frame.start_seen, "censored_left"),
                 **_mean(frame, ~frame.end_seen, "censored_right"),
-                "km_mean_s": restricted_mean(curve) if frame.start_seen.any() else np.nan,
+                "km_mean_s": restricted_mean(curve) if followed(frame).any() else np.nan,
                 **intervals.columns(
-                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(frame.start_seen.sum())),
+                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(followed(frame).sum())),
                     "km_median_s",
                 ),
                 "km_mean_s_note": _restriction(curve),
@@ -243,5 +265,10 @@ def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]
 
 
 def _curve(frame: pd.DataFrame) -> pd.DataFrame:
-    seen = frame[frame.start_seen]
-    return kaplan_meier(seen.duration_s.to_numpy(np.float64), seen.end_seen.to_numpy(bool))
+    seen = frame[followed(frame)]
+    return kaplan_meier(seen.lasted_s.to_numpy(), seen.over.to_numpy(bool))
+
+
+def followed(frame: pd.DataFrame) -> "pd.Series[bool]":
+    """Which encounters, of `durations`, count in a survival curve."""
+    return frame.start_seen & (frame.lasted_s > 0)

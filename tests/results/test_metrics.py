@@ -3,10 +3,12 @@
 import math
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from cosim.addons.attacks import effects as attack
+from results import study_curves
 from results.measure import measure
 from results.metrics import encounters, freshness, misbehaviour, radio, traffic, trust
 from results.metrics.registry import METRICS
@@ -18,29 +20,62 @@ def encounter(a, b, start, end, **more):
 
 
 def test_kaplan_meier_by_hand(tiny):
-    """Durations 1, 2, 2+, 3, 4+ (+: end not seen), and one whose start was not seen.
+    """Durations 1, 2, 2+, 3, 4+ (+: end not seen, so longer than 1 and 3), and one whose start was not seen.
 
-    S(1) = 4/5; S(2) = 4/5 * 3/4 = 3/5; S(3) = 3/5 * 1/2 = 3/10 = S(4). Area to 4 s: 1 + .8 + .6 + .3 = 2.7.
+    S(1) = 4/5; S(2) = 4/5 * 2/3 = 8/15; S(3) = 8/15 * 1/2 = 4/15. Area to 3 s: 1 + 4/5 + 8/15 = 7/3.
     """
     ends = [(1, False), (2, False), (2, True), (3, False), (4, True)]
     rows = [encounter(0, i + 1, 10, 10 + d, censored_right=c) for i, (d, c) in enumerate(ends)]
     run = tiny(20, encounters=[*rows, encounter(0, 9, 0, 15, censored_left=True)])
     curve = encounters.survival(run)
-    assert curve.duration_s.tolist() == [0, 1, 2, 3, 4]
-    assert curve.survival.tolist() == pytest.approx([1, 0.8, 0.6, 0.3, 0.3])
+    assert curve.duration_s.tolist() == [0, 1, 2, 3]
+    assert curve.survival.tolist() == pytest.approx([1, 4 / 5, 8 / 15, 4 / 15])
     assert (curve.low <= curve.survival).all() and (curve.survival <= curve.high).all()
     (row,) = encounters.summary(run).itertuples()
     assert (row.n, row.n_start_unseen, row.n_end_unseen, row.km_median_s_units) == (6, 1, 2, 5)
-    assert row.km_mean_s == pytest.approx(2.7) and row.km_median_s == 3
+    assert row.km_mean_s == pytest.approx(7 / 3) and row.km_median_s == 3
     assert row.mean_s == pytest.approx((1 + 2 + 2 + 3 + 4 + 15) / 6) and not row.km_mean_s_note
 
 
 def test_a_mean_of_durations_that_mostly_outlast_the_run_says_so(tiny):
-    """Of four encounters one ends: the curve stays at 3/4, and the mean counts each of the others as 6 s."""
+    """Of four encounters one ends: the curve stays at 3/4, and the mean counts each of the others as 5 s."""
     rows = [encounter(0, i + 1, 3, 3 + d, censored_right=d == 6) for i, d in enumerate((2, 6, 6, 6))]
     (row,) = encounters.summary(tiny(20, encounters=rows)).itertuples()
-    assert row.km_median_s != row.km_median_s and row.km_mean_s == 5
-    assert row.km_mean_s_note == "75% last longer than 6 s"
+    assert row.km_median_s != row.km_median_s and row.km_mean_s == 4.25
+    assert row.km_mean_s_note == "75% last longer than 5 s"
+
+
+def test_encounters_are_followed_as_long_as_their_end_would_be_known(tiny):
+    """20 steps, and breaks of 3 s are bridged: a contact that breaks off after step 17 may go on.
+
+    From step 5 on: one ends after 4 s; three go on after step 17, in contact, in a break, or until one leaves. One that
+    begins in step 17 says nothing.
+    """
+    ends = {9: {}, 20: {"censored_right": True}, 18: {"censored_right": True}, 19: {"departed": True}}
+    rows = [encounter(0, end, 5, end, hysteresis_s=3, **more) for end, more in ends.items()]
+    run = tiny(20, encounters=[*rows, encounter(0, 1, 17, 19, censored_right=True, hysteresis_s=3)])
+    curve = encounters.survival(run)
+    assert curve.duration_s.tolist() == [0, 4, 12] and curve.survival.tolist() == [1, 0.75, 0.75]
+    assert encounters.summary(run).km_median_s_units.tolist() == [4]
+    found = study_curves.counts(run)
+    assert found[["value_s", "n", "n_open"]].to_numpy().tolist() == [[4, 1, 0], [12, 0, 3]]
+
+
+def test_durations_of_a_short_run_are_those_of_a_long_one(tiny):
+    """Exponential contacts of 20 s on average in a run of 40 s: 61 % last longer than 10 s, and not 63 %.
+
+    Contacts that break off in the last 3 s of the run are not known to be over.
+    """
+    random, n_steps, h = np.random.default_rng(3), 40, 3
+    begin_s = random.uniform(0, n_steps, 20_000)
+    start = np.ceil(begin_s).astype(int)
+    end = np.ceil(begin_s + random.exponential(20, len(start))).astype(int)
+    rows = [
+        encounter(0, i, s, min(e, n_steps), hysteresis_s=h, censored_right=bool(e > n_steps - h))
+        for i, (s, e) in enumerate(zip(start, end, strict=True), 1) if s < min(e, n_steps)
+    ]  # fmt: skip
+    curve = encounters.survival(tiny(n_steps, encounters=rows)).set_index("duration_s").survival
+    assert curve.loc[1:30].to_numpy() == pytest.approx(np.exp(-np.arange(1, 31) / 20), abs=0.012)
 
 
 def test_departures_as_ends_or_as_censoring(tiny):

@@ -8,6 +8,7 @@ waves (held against SUMO's SSM device in `tests/addons/driver/test_safety.py`).
 """
 
 import json
+import math
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -134,8 +135,11 @@ def encounters(of):
     on_road_h = on_road_steps(of) * of.dt_s / 3600
     for name, some in definitions(of.table("encounters")):
         seen = some[~some.censored_left.astype(bool)]
-        over = ~seen.censored_right.astype(bool)
-        duration_s = seen.duration_s.astype(float)
+        end = of.steps - max(1, math.ceil(some.hysteresis_s.iloc[0] / of.dt_s - 1e-6))
+        cut = (seen.end_step > end) | seen.censored_right.astype(bool)
+        until = seen.end_step.astype(int).where(~cut, seen.end_step - 1).clip(upper=end)
+        over = ~cut[until > seen.start_step]
+        duration_s = (until - seen.start_step)[until > seen.start_step] * of.dt_s
         yield "n", name, len(some)
         yield "censored_left.share", name, some.censored_left.mean()
         yield "censored_right.share", name, some.censored_right.mean()

@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.metrics.encounters import DEFINITION, Departure
+from results.metrics.encounters import DEFINITION, Departure, fewest_steps, followed_until
 from results.run import Run
 
 What = Literal["duration", "inter_contact"]
@@ -102,28 +102,32 @@ def of_run(run: Run, what: What, definition: pd.Series, departure: Departure = "
     which not x but x + v lies (`step_s`). Times between encounters are shorter than the hysteresis only if they were
     bridged, so they begin there.
 
-    Encounters whose start was not observed are left out: of what lasted before, nothing is known.
+    Encounters whose start was not observed are left out: of what lasted before, nothing is known. They are followed up
+    to the step of `followed_until`, as in `results.metrics.encounters`.
     """
     frame = run.table("encounters", _COLUMNS)
     for column in DEFINITION:
         frame = frame[frame[column] == definition[column]]
     if what == "duration":
-        return _durations(frame[~frame.censored_left], run.dt_s, departure)
+        return _durations(frame[~frame.censored_left], run, departure)
     return _inter_contacts(frame, run, float(definition["hysteresis_s"]))
 
 
-def _durations(frame: pd.DataFrame, dt_s: float, departure: Departure) -> Durations:
-    ended = ~frame.censored_right.to_numpy(bool)
+def _durations(frame: pd.DataFrame, run: Run, departure: Departure) -> Durations:
+    last_step = followed_until(run, frame.hysteresis_s.to_numpy(float))
+    until = np.minimum(frame.end_step, last_step + 1)
+    frame = frame.assign(until=until, goes_on=until > last_step)[until > frame.start_step]
+    ended = ~(frame.censored_right | frame.goes_on).to_numpy(bool)
     if departure == "censors":
         ended &= ~frame.departed.to_numpy(bool)
-    n = (frame.end_step - frame.start_step).to_numpy(float)
-    return _in_steps(n, ended, dt_s, 1, frame.a.to_numpy(), frame.b.to_numpy())
+    n = (frame.until - frame.start_step).to_numpy(float)
+    return _in_steps(n, ended, run.dt_s, 1, frame.a.to_numpy(), frame.b.to_numpy())
 
 
 def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durations:
     """Times between the encounters of pairs, the last one cut off where one of the two leaves or recording ends."""
     dt_s = run.dt_s
-    fewest = max(1, int(np.ceil(hysteresis_s / dt_s - 1e-9)))
+    fewest = int(fewest_steps(np.array([hysteresis_s]), dt_s)[0])
     again = frame[frame.gap_s.notna()]
     seen = np.round(again.gap_s.to_numpy(float) / dt_s)
     last = frame.sort_values("start_step").groupby(["a", "b"], as_index=False).last()

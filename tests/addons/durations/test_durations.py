@@ -14,6 +14,7 @@ from cosim.addons.durations.families import FAMILIES
 from cosim.addons.durations.fit import fit, fits, log_counted
 from cosim.addons.durations.goodness import kolmogorov_smirnov, product_limit
 from cosim.addons.durations.samples import Durations, definitions, of_run
+from results.metrics import encounters
 from results.metrics.survival import kaplan_meier
 from tests.results.tiny import fleet
 
@@ -217,6 +218,23 @@ def test_durations_and_inter_contact_times_of_a_run(tiny):
     between = of_run(run, "inter_contact", definition)
     assert sorted(zip(between.low_s, between.high_s, strict=True)) == [(9.5, np.inf), (19.5, 20.5)]
     assert set(between.entry_s) == {2.5}  # breaks of one and two steps are bridged
+
+
+@pytest.mark.parametrize("hysteresis_s", [0, 4])
+def test_the_curve_of_a_run_is_that_of_its_metrics(tiny, hysteresis_s):
+    """Contacts of all lengths, cut off by the end of the run, in a break or not."""
+    random, fewest = np.random.default_rng(7), max(1, hysteresis_s)
+    start = random.integers(1, 39, 300)
+    end = np.minimum(start + random.geometric(0.08, 300), 40)
+    rows = [
+        encounter(0, i + 1, int(s), int(e), hysteresis_s=hysteresis_s, censored_right=bool(e > 40 - fewest))
+        for i, (s, e) in enumerate(zip(start, end, strict=True))
+    ]  # fmt: skip
+    run = tiny(40, encounters=rows)
+    (definition,) = (row for _, row in definitions(run).iterrows())
+    ours, theirs = product_limit(of_run(run, "duration", definition)), encounters.survival(run)
+    at = np.searchsorted(ours.duration_s, theirs.duration_s + 0.5, "right") - 1
+    assert ours.survival.to_numpy()[at] == pytest.approx(theirs.survival.to_numpy(), abs=1e-12)
 
 
 def test_figures_beside_published_ones(tiny):
