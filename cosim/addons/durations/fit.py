@@ -157,7 +157,8 @@ class Fit:
     def survival(self, x_s: Float[ndarray, "n"], entry_s: float = 0.0) -> Float[ndarray, "n"]:
         """Share that lasts longer than `x_s`, of those that last longer than `entry_s`, as the sample counts them."""
         edges_s = np.r_[entry_s, np.maximum(x_s, entry_s)]
-        given, *logs = log_counted(self.family, self.free, edges_s, self.rows.step_s)
+        with np.errstate(divide="ignore"):  # nothing may last so long
+            given, *logs = log_counted(self.family, self.free, edges_s, self.rows.step_s)
         return np.exp(np.minimum(np.array(logs) - given, 0.0))
 
 
