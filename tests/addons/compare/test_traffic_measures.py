@@ -108,17 +108,17 @@ def test_overlaps_by_hand():
 
 
 def test_littles_law_by_hand(tmp_path):
-    """Two cars are 90 m apart in steps 2 to 5 of 10, else 110 m. Each has one contact in 10 s, for 4 s, and 0.4
-    neighbours: 0.1 x 4 / 0.4. A duration of 8 s that is wrong doubles it."""
-    met = {"a": 0, "b": 1, "pairs": "all", "start_step": 2, "end_step": 6, "radius_m": 100.0}
+    """Two cars are 90 m apart in steps 2 to 5 of 20, else 110 m. Each has one contact in 20 s, for 4 s, and 0.2
+    neighbours: 0.05 x 4 / 0.2. A duration of 8 s that is wrong doubles it."""
+    met = {"a": 0, "b": 1, "pairs": "all", "start_step": 2, "radius_m": 100.0}
     actors = [
         {"step": step, "actor": car, "x_m": car * (90.0 if 2 <= step < 6 else 110.0)}
-        for step in range(10) for car in (0, 1)
+        for step in range(20) for car in (0, 1)
     ]  # fmt: skip
     cars = fleet("honest", "honest", vehicle_class="car")
     for n, folder in ((1, tmp_path / "right"), (2, tmp_path / "wrong")):
         folder.mkdir()
         run = make(
-            folder, 10, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"duration_s": 4.0 * n}]
+            folder, 20, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"end_step": 2 + 4 * n}]
         )
         assert value("littles_law", run, radius_m=100.0) == pytest.approx(n)
