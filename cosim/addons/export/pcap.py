@@ -126,8 +126,8 @@ class Pcap:
         received = receptions_of(selection, list(selection.vehicles))
         n_of_units = int((~received.sender.isin(selection.run.subjects.index)).sum())
         why = f"{n_of_units:,} received messages of roadside units are left out: the table actors does not place them."
-        remarks = (why,) if n_of_units else ()
-        return Plan((*units, names), 0, 0, 2.0 * PACKET_BYTES * selection.run.n_rows("receptions"), remarks)
+        n_bytes = 2.0 * PACKET_BYTES * selection.run.n_rows("receptions")
+        return Plan((*units, names), text_bytes=n_bytes, remarks=(why,) if n_of_units else ())
 
 
 def projection_of(at: PcapPlace, selection: Selection) -> Projection:

@@ -59,12 +59,22 @@ class PositionColumns:
     def spelled(self, names: Sequence[str]) -> "PositionColumns":
         """With the capitals and small letters of a header."""
         of = {name.lower(): name for name in names} | {name: name for name in names}
-        given = {}
-        for field_name in ("actor", "time", "x", "y", "kind", "repeat", "site"):
-            name = getattr(self, field_name)
-            given[field_name] = of.get(name, of.get(name.lower(), name))
-        length, width = (of.get(name, of.get(name.lower(), name)) for name in self.size)
-        return replace(self, size=(length, width), **given)
+
+        def own(name: str) -> str:
+            return of.get(name) or of.get(name.lower(), name)
+
+        length, width = self.size
+        return replace(
+            self,
+            actor=own(self.actor),
+            time=own(self.time),
+            x=own(self.x),
+            y=own(self.y),
+            kind=own(self.kind),
+            size=(own(length), own(width)),
+            repeat=own(self.repeat),
+            site=own(self.site),
+        )
 
 
 LAYOUTS: dict[str, PositionColumns] = {
@@ -493,7 +503,8 @@ def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionCo
         length = width = ""
     elif width not in names:
         width = ""
-    repeat, site = (name if name in names else "" for name in (columns.repeat, columns.site))
+    repeat = columns.repeat if columns.repeat in names else ""
+    site = columns.site if columns.site in names else ""
     return replace(columns, kind=kinds[0] if kinds else "", size=(length, width), repeat=repeat, site=site)
 
 
