@@ -531,8 +531,8 @@ def _check_units(path: Path, columns: PositionColumns, time_unit_s: float | None
         )
     if not columns.is_frame and time_unit_s is None and columns.time_unit_s is None and units.is_frame(columns.time):
         raise TrafficError(
-            f"{path}: the column {columns.time} is named as frame numbers. Set --frame-hz to the frames per second, or "
-            "--time-unit s if they are seconds."
+            f"{path}: the column {columns.time} is named as frame numbers. Set --frame-hz to the frames or steps per "
+            "second, or --time-unit s if they are seconds."
         )
 
 

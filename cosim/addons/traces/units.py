@@ -1,6 +1,7 @@
 """Units of tables of positions: what names of columns, sizes of numbers and a column of speeds say of them."""
 
 import re
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +34,9 @@ _LENGTH_WORDS = {"m": "m", "metres": "m", "meters": "m", "ft": "ft", "feet": "ft
 _NGSIM_FEET = {"local_x", "local_y", "global_x", "global_y"}
 _SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 """A time that is larger than this is in this unit since 1970: as seconds, it would be after the year 5000."""
-SPEEDS = ("speed", "v_Vel", "v_vel", "speed_mps", "velocity", "vehicle_speed", "xVelocity", "yVelocity", "vx", "vy")
+_PARTS = (("xVelocity", "yVelocity"), ("vx", "vy"), ("velocity_x", "velocity_y"))
+SPEEDS = ("speed", "v_Vel", "v_vel", "speed_mps", "velocity", "vehicle_speed", *chain(*_PARTS))
 """Columns that say a speed, or its parts."""
-_PARTS = (("xVelocity", "yVelocity"), ("vx", "vy"))
 _SPEED_UNITS = (1.0, 1 / 3.6, 0.44704, 0.51444, 0.3048)
 """m/s of a speed in m/s, km/h, mph, knots, ft/s."""
 _NEAR = 1.15
@@ -97,8 +98,10 @@ def degrees_by_name(*names: str) -> str:
 
 
 def is_frame(name: str) -> bool:
-    """Whether a column is named as frame numbers."""
-    return "frame" in words(name) or "frames" in words(name)
+    """Whether a column is named as numbers of frames or steps."""
+    said = words(name)
+    counts_steps = said[-1:] in (["step"], ["timestep"])
+    return counts_steps or not {"frame", "frames"}.isdisjoint(said)
 
 
 def speeds(path: Path, table: pa.Table) -> Float[ndarray, "n"] | None:

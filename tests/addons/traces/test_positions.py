@@ -1,6 +1,7 @@
 """Tables of positions: every layout by its columns, and every bad table told in one line."""
 
 import gzip
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -219,6 +220,20 @@ def test_columns_whose_names_say_another_unit(tmp_path):
         given(tmp_path, "t.csv", text, columns=PositionColumns("id", "frame", "x_ft", "y_ft"))
     with pytest.raises(TrafficError, match="the column lon is named as degrees"):
         given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_ms", "lon", "y_ft"))
+
+
+@pytest.mark.parametrize("time", ["timestep", "time_step"])
+def test_numbers_of_steps_are_no_seconds(tmp_path, time):
+    """Argoverse's parquet files have ten steps per second: 1 m in each is 10 m/s."""
+    head = f"track_id,{time},position_x,position_y,velocity_x,velocity_y\n"
+    text = head + "".join(f"a,{k},{k},0,10,0\n" for k in range(4))
+    named = PositionColumns("track_id", time, "position_x", "position_y")
+    with pytest.raises(TrafficError, match=r"named as frame numbers\. Set --frame-hz"):
+        given(tmp_path, "t.csv", text, columns=named)
+    with pytest.raises(TrafficError, match=r"0\.1 times the speeds that the table says"):
+        given(tmp_path, "t.csv", text, columns=named, time_unit_s=1.0)
+    fixes = given(tmp_path, "t.csv", text, columns=replace(named, is_frame=True), frame_hz=10.0)
+    np.testing.assert_allclose(fixes.time_s, [0, 0.1, 0.2, 0.3])
 
 
 def test_classes_and_sizes_beside_a_recording(tmp_path):
