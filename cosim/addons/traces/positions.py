@@ -510,7 +510,7 @@ def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionCo
 
 def _check_site(path: Path, columns: PositionColumns, table: pa.Table) -> None:
     """Refuse recordings of several places in one file."""
-    sites = pc.unique(table.column(columns.site)).to_pylist() if columns.site else []
+    sites = pc.unique(table.column(columns.site)).drop_null().to_pylist() if columns.site else []
     if len(sites) > 1:
         raise TrafficError(
             f"{path}: {columns.site} says {', '.join(map(str, sites[:4]))}: each has coordinates and numbers of its "
