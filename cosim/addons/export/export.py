@@ -154,7 +154,7 @@ def _exported(
         "format": choice.source.name,
         "run": str(run.path.resolve()),
         "vehicles": list(chosen.vehicles),
-        "steps": _span(chosen.steps),
+        "steps": steps or _span(chosen.steps),
         "parameters": list(sets),
         "created": run.manifest.get("created"),
         "schema_version": run.manifest["schema_version"],

@@ -67,6 +67,13 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
     assert len(paths) == whole["files"] + 1
 
 
+def test_other_steps_with_the_same_ends_are_another_export(folder, vehicles, tmp_path):
+    run, named = open_run(folder), ",".join(map(str, vehicles))
+    export(run, "kitti", tmp_path / "out", named, "0-1,3", ["images=false"])
+    with pytest.raises(ValueError, match=r"another export \(other steps\)"):
+        export(run, "kitti", tmp_path / "out", named, "0,2-3", ["images=false"])
+
+
 @pytest.mark.parametrize(
     ("form", "more", "says"),
     [
