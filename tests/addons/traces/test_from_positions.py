@@ -126,6 +126,13 @@ def test_the_command_that_is_printed_can_be_run(tmp_path, hz):
     assert ran.returncode == 0, ran.stderr
 
 
+def test_the_command_that_is_printed_has_the_city(tmp_path):
+    """Alone, the trace would have no streets and no buildings."""
+    (tmp_path / "p.csv").write_text("id,time,lat,lon\na,0,60.17,24.94\na,1,60.1701,24.94\n")
+    made = cosim("trace", "p.csv", "--scenario", "helsinki", "--out", "t.parquet", cwd=tmp_path)
+    assert "cosim run --set traffic.scenario=helsinki --set traffic.trace=t.parquet --set" in made.stdout, made.stderr
+
+
 def test_positions_that_are_left_out_are_said(tmp_path):
     t = np.cumsum(np.random.default_rng(3).uniform(0.05, 0.1, 200))
     pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)
