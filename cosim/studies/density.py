@@ -10,8 +10,10 @@ from cosim.config.config import Config
 from cosim.studies.speed import remember, remembered
 from cosim.traffic.fcd import timesteps
 from cosim.traffic.fleet import FleetParams
+from cosim.traffic.identity import LEFT_OUT, TypeTable
 from cosim.traffic.scenario import Scenario, find
 from results.manifest import read_manifest
+from sensors.scene import Shape
 from sumo_nets import catalogue, sumocfg
 from sumo_nets.xml import Attributes, Enough, stream
 
@@ -95,8 +97,11 @@ def scenario_of(scenario: str, trace: str | None) -> Scenario:
 def _recorded(trace: Path) -> float:
     if trace.is_dir():
         return float(read_manifest(trace).get("summary", {}).get("vehicles_on_road_mean", HELSINKI))
-    n_actors = [len(timestep.names) for timestep in islice(timesteps(trace), _PROBED)]
-    return float(np.mean(n_actors or [HELSINKI]))
+    types, n_vehicles = TypeTable(), []
+    for timestep in islice(timesteps(trace), _PROBED):
+        shape = types.shapes(timestep.types, timestep.is_person, timestep.vclasses)
+        n_vehicles.append(np.count_nonzero((shape != Shape.PEDESTRIAN) & (shape != LEFT_OUT)))
+    return float(np.mean(n_vehicles or [HELSINKI]))
 
 
 @cache

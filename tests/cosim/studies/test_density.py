@@ -23,9 +23,19 @@ def test_cities_are_told_apart():
     assert vehicles_on_road(load(None, ["traffic.scenario=koenigs-wusterhausen"])) == pytest.approx(145, rel=0.01)
 
 
+def test_persons_of_a_trace_are_no_vehicles(tmp_path):
+    """A car drives for two steps, beside two pedestrians and a train, which no run has."""
+    where = 'x="0" y="0" angle="0" speed="1"'
+    persons = f'<person id="p" {where}/><person id="q" type="walker" {where}/>'
+    vehicles = f'<vehicle id="c" type="car" {where}/><vehicle id="t" type="train" {where}/>'
+    steps = "".join(f'<timestep time="{time}">{vehicles}{persons}</timestep>' for time in (0, 1))
+    (tmp_path / "fcd.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    assert vehicles_on_road(load(None, [f"traffic.scenario={tmp_path / 'fcd.xml'}"])) == 1
+
+
 def test_of_a_trace_and_of_flows(tmp_path):
     """The street has 8 cars and a person; the town's flows have periods of 2, 3 and 4 s: 13 vehicles in 12 s."""
-    assert vehicles_on_road(load(None, [f"traffic.scenario={write_trace(tmp_path)}"])) == 9
+    assert vehicles_on_road(load(None, [f"traffic.scenario={write_trace(tmp_path)}"])) == 8
     town = write_town(tmp_path / "town")
     assert departures((town.parent / "town.rou.xml",), 10.0, 22.0) == pytest.approx(13)
     assert 5 < vehicles_on_road(load(None, [f"traffic.scenario={town}", "traffic.warmup_s=30"])) < 60
