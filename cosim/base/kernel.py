@@ -76,6 +76,9 @@ def _key_of_all_code(self: Any, signature: Any, codegen: Any) -> tuple[Any, ...]
 setattr(caching.FunctionCache, "_index_key", _key_of_all_code)  # noqa: B010  likewise
 
 
+_LIBRARIES = {"numba", "numpy"}
+"""Packages whose functions are not read: Numba compiles code of its own in their place. Some lead to what differs
+between processes. A field called `info` led to `numpy.info`, and that to the flags of the interpreter."""
 _PLAIN = int | float | complex | tuple | dtype | generic
 """Constants that are told from each other by what they print; not texts, which say nothing to a kernel."""
 
@@ -132,7 +135,8 @@ def _say(value: Any, said: list[str], called: list[FunctionType]) -> None:
     elif isinstance(value, _Intrinsic):
         called.append(value._defn)
     elif isinstance(value, FunctionType):
-        called.append(value)
+        if str(value.__module__).partition(".")[0] not in _LIBRARIES:
+            called.append(value)
     elif isinstance(value, tuple):
         for one in value:
             _say(one, said, called)

@@ -8,6 +8,7 @@ import pkgutil
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import cache
 
 import pytest
 from numba.core import caching
@@ -20,6 +21,8 @@ import sumo_nets
 import trust
 from cosim.base import kernel  # which gives Numba its index
 from tests.drive import python
+
+PACKAGES = cosim, results, sensors, sumo_nets, trust
 
 MINE = """
 from typing import NamedTuple
@@ -127,18 +130,32 @@ def test_what_a_cached_function_calls_may_change_in_other_files(tmp_path):
     assert python(asked, cwd=tmp_path) == "(11.0, 11.0, 11.0, 8) 1\n"
 
 
-def test_no_kernel_calls_a_function_with_reference_counts():
-    """A kernel does not release what such a function returns. And Numba, asked for neither, compiles a function as its
-    first caller is: once, and for all callers. Arrays were then released twice, if the first one was a kernel."""
+@cache
+def compiled_functions():
+    """All compiled functions of the program, by what they compile."""
     functions = {}
-    for root in (cosim, results, sensors, sumo_nets, trust):
+    for root in PACKAGES:
         for module in pkgutil.walk_packages(root.__path__, f"{root.__name__}."):
             with suppress(ImportError):  # an extra that is not installed
                 found = vars(importlib.import_module(module.name)).values()
                 functions |= {one.py_func: one for one in found if isinstance(one, Dispatcher)}
-    counts = {function: one.targetoptions["_nrt"] for function, one in functions.items()}
+    return functions
+
+
+def test_no_kernel_calls_a_function_with_reference_counts():
+    """A kernel does not release what such a function returns. And Numba, asked for neither, compiles a function as its
+    first caller is: once, and for all callers. Arrays were then released twice, if the first one was a kernel."""
+    counts = {function: one.targetoptions["_nrt"] for function, one in compiled_functions().items()}
     assert len(counts) > 100
     for function, counted in counts.items():
         _, called = kernel._content(function)
         wrong = [one.__name__ for one in called if counts.get(one)]
         assert counted or not wrong, f"{function.__name__} calls {', '.join(wrong)}"
+
+
+def test_keys_of_the_cache_depend_on_the_programs_own_code():
+    """Those of libraries read what differs between processes: the run and the process beside it would compile twice."""
+    ours = {root.__name__ for root in PACKAGES}
+    for function in compiled_functions():
+        for called in kernel._content(function)[1]:
+            assert called.__module__.split(".")[0] in ours, f"{function.__name__}: {called.__module__}"
