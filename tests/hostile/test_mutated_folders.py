@@ -210,11 +210,10 @@ def judge_resumed(folder, marks):
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def runs(street_runs):
     """A finished run, an interrupted one, another one, and what each way of reading gives of the first."""
-    base = tmp_path_factory.mktemp("mutated")
-    whole, part = shared.make_runs(base)
-    other = shared.make_other(base)
+    whole, part = street_runs
+    other = shared.make_other(whole.parent)
     return whole, part, other, {name: read(whole) for name, read in READ.items()}, fingerprint(whole)
 
 

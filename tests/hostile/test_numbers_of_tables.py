@@ -59,9 +59,9 @@ def mutations():
                 yield from ((table, name, value) for value in REALS)
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return shared.make_runs(tmp_path_factory.mktemp("numbers"))[0]
+@pytest.fixture
+def run(street_runs):
+    return street_runs[0]
 
 
 def said(folder):
