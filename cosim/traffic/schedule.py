@@ -125,5 +125,6 @@ class Schedule:
         group, within = rng.uniforms(of_sensing, name_key, n=2).T
         number = np.searchsorted(self.until_p[:-1], group, "right")
         interval = np.asarray(self.interval_steps)[number]
-        phase = (within * interval).astype(np.int64) if self.is_random else np.zeros(len(name_key), np.int64)
-        return interval, phase
+        if not self.is_random:
+            return interval, np.zeros_like(interval)
+        return interval, (within * interval).astype(np.int64)

@@ -265,7 +265,8 @@ def mean(run: Run) -> pd.DataFrame:
     found = in_use(run)
     rows = []
     for role, here in by_role(run, found.role):
-        mean = intervals.of_units(found.trust[here].astype(np.float64), found.vehicle[here])
+        trust = found.trust[here].astype(np.float64)
+        mean = intervals.of_units(trust, found.vehicle[here])
         row = {"role": role, "n": int(here.sum()), "note": _idle(run, role)}
         rows.append(row | intervals.columns(mean, "mean"))
     return pd.DataFrame(rows)

@@ -68,7 +68,9 @@ def area(
     log_honest = _log_shares(counts, ~attacks, vehicle)[~attacks]
     attacker = counts[attacks].astype(float)
     honest = counts[~attacks].astype(float)
-    n_units = min(len(np.unique(vehicle[attacks])), len(np.unique(vehicle[~attacks])))
+    n_attackers = len(np.unique(vehicle[attacks]))
+    n_others = len(np.unique(vehicle[~attacks]))
+    n_units = min(n_attackers, n_others)
     if n_units < 2:
         return intervals.UNKNOWN
     own = (attacker * log_attacker).sum(axis=1)
