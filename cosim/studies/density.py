@@ -100,7 +100,8 @@ def _recorded(trace: Path) -> float:
     types, n_vehicles = TypeTable(), []
     for timestep in islice(timesteps(trace), _PROBED):
         shape = types.shapes(timestep.types, timestep.is_person, timestep.vclasses)
-        n_vehicles.append(np.count_nonzero((shape != Shape.PEDESTRIAN) & (shape != LEFT_OUT)))
+        is_vehicle = (shape != Shape.PEDESTRIAN) & (shape != LEFT_OUT)
+        n_vehicles.append(int(is_vehicle.sum()))
     return float(np.mean(n_vehicles or [HELSINKI]))
 
 
