@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from results.metrics.encounters import DEFINITION, Departure, fewest_steps, followed_until
+from results.metrics.encounters import DEFINITION, Departure, durations, fewest_steps
 from results.run import Run
 
 What = Literal["duration", "inter_contact"]
@@ -102,36 +102,39 @@ def of_run(run: Run, what: What, definition: pd.Series, departure: Departure = "
     which not x but x + v lies (`step_s`). Times between encounters are shorter than the hysteresis only if they were
     bridged, so they begin there.
 
-    Encounters whose start was not observed are left out: of what lasted before, nothing is known. They are followed up
-    to the step of `followed_until`, as in `results.metrics.encounters`.
+    Encounters whose start was not observed are left out: of what lasted before, nothing is known. They are followed as
+    in `results.metrics.encounters.durations`.
     """
-    frame = run.table("encounters", _COLUMNS)
-    for column in DEFINITION:
-        frame = frame[frame[column] == definition[column]]
     if what == "duration":
-        return _durations(frame[~frame.censored_left], run, departure)
+        return _durations(run, definition, departure)
+    frame = _defined(run.table("encounters", _COLUMNS), definition)
     return _inter_contacts(frame, run, float(definition["hysteresis_s"]))
 
 
-def _durations(frame: pd.DataFrame, run: Run, departure: Departure) -> Durations:
-    last_step = followed_until(run, frame.hysteresis_s.to_numpy(float))
-    until = np.minimum(frame.end_step, last_step + 1)
-    frame = frame.assign(until=until, goes_on=until > last_step)[until > frame.start_step]
-    ended = ~(frame.censored_right | frame.goes_on).to_numpy(bool)
-    if departure == "censors":
-        ended &= ~frame.departed.to_numpy(bool)
-    n = (frame.until - frame.start_step).to_numpy(float)
-    return _in_steps(n, ended, run.dt_s, 1, frame.a.to_numpy(), frame.b.to_numpy())
+def _defined(frame: pd.DataFrame, definition: pd.Series) -> pd.DataFrame:
+    for column in DEFINITION:
+        frame = frame[frame[column] == definition[column]]
+    return frame
+
+
+def _durations(run: Run, definition: pd.Series, departure: Departure) -> Durations:
+    frame = _defined(durations(run, departure), definition)
+    steps = np.round(frame.lasted_s / run.dt_s) + ~frame.over  # cut off: it lasted for a step more at least
+    frame = frame.assign(steps=steps)[frame.start_seen & (steps > 0)]
+    n, over = frame.steps.to_numpy(float), frame.over.to_numpy(bool)
+    return _in_steps(n, over, run.dt_s, 1, frame.a.to_numpy(), frame.b.to_numpy())
 
 
 def _inter_contacts(frame: pd.DataFrame, run: Run, hysteresis_s: float) -> Durations:
     """Times between the encounters of pairs, the last one cut off where one of the two leaves or recording ends."""
     dt_s = run.dt_s
     fewest = int(fewest_steps(np.array([hysteresis_s]), dt_s)[0])
-    again = frame[frame.gap_s.notna()]
+    pairs = frame.sort_values("start_step").groupby(["a", "b"])
+    was_away = pairs.departed.shift(fill_value=False).reindex(frame.index)  # of a trace, actors leave and return
+    again = frame[frame.gap_s.notna() & ~was_away.astype(bool)]
     seen = np.round(again.gap_s.to_numpy(float) / dt_s)
-    last = frame.sort_values("start_step").groupby(["a", "b"], as_index=False).last()
-    last = last[~last.censored_right]
+    last = pairs.last().reset_index()
+    last = last[~last.censored_right & ~last.departed]
     last_step = run.table("vehicles", ["vehicle", "last_step"]).set_index("vehicle").last_step
     leaves_a = last_step.reindex(last.a).to_numpy()
     leaves_b = last_step.reindex(last.b).to_numpy()

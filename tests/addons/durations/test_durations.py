@@ -220,6 +220,20 @@ def test_durations_and_inter_contact_times_of_a_run(tiny):
     assert set(between.entry_s) == {2.5}  # breaks of one and two steps are bridged
 
 
+def test_nothing_is_known_between_encounters_of_one_who_leaves_and_returns(tiny):
+    """1 is away in steps 10 and 11 of a trace, and 2 from step 30 to 34. Who is away cannot meet anybody."""
+    rows = [
+        encounter(0, 1, 2, 10, departed=True),
+        encounter(0, 1, 12, 20, gap_s=2),
+        encounter(0, 1, 40, 50, gap_s=20),
+        encounter(0, 2, 20, 30, departed=True),
+    ]
+    run = tiny(60, vehicles=fleet("honest", "honest", "honest"), encounters=rows)
+    (definition,) = (row for _, row in definitions(run).iterrows())
+    between = of_run(run, "inter_contact", definition)
+    assert sorted(zip(between.low_s, between.high_s, strict=True)) == [(9.5, np.inf), (19.5, 20.5)]
+
+
 @pytest.mark.parametrize("hysteresis_s", [0, 4])
 def test_the_curve_of_a_run_is_that_of_its_metrics(tiny, hysteresis_s):
     """Contacts of all lengths, cut off by the end of the run, in a break or not."""
