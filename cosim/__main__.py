@@ -3,7 +3,6 @@
 import gc
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads sleep: spinning cost the stage `detect` a third
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a few small products; its threads waited in loops, 7 % of a run
 gc.set_threshold(100_000, 50, 100)  # imports and arrays leave little garbage; looking for it cost 5 % of a run
 

@@ -91,7 +91,7 @@ for number, words in enumerate(json.loads(sys.argv[1])):
 def in_turn(*commands: list[str], cwd: Path, before: str = "", **environment: str) -> list[subprocess.CompletedProcess]:
     """`cosim` with the words of each command, in children of one new process, which first carries out some code.
 
-    A process of its own for each command would import the program anew. OpenMP forbids to fork.
+    A process of its own for each command would import the program anew.
     """
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as streams:
         words = [sys.executable, "-c", before + IN_TURN, json.dumps(commands), streams]

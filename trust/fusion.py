@@ -9,7 +9,6 @@ from numpy import ndarray
 
 from cosim.base.kernel import compiled
 from cosim.base.rows import Rows
-from cosim.base.threads import threads_for
 from trust.group_sums import GroupTotals, MemberSums, sums_of_groups
 from trust.object_reports import ObjectReports, ObjectVotes, object_votes
 from trust.params import AVERAGES, Method, TrustParams
@@ -17,7 +16,7 @@ from trust.tables import FusionInput, SenderTrust
 
 
 @dataclass(frozen=True, slots=True)
-class SensorEvidence:
+class SensorEvidence(Rows):
     """Evidence from the ego's own sweep about each group's seed; used only if another vehicle detected the seed."""
 
     n_points: Int[ndarray, "g"]  # returns inside the box; used within the range only
@@ -199,7 +198,7 @@ def fuse(
     score_objects
         Method of a trust model that scores objects. It replaces the scores of `params.method`.
     votes
-        Result of `votes_of` for the same arguments, if several fusions differ only in trust; computed by default.
+        Result of `object_votes` for the same arguments, if several fusions differ only in trust; computed by default.
     min_score
         Groups of a lower score are left out.
 
@@ -224,7 +223,7 @@ def fuse(
     if score_objects is None:
         score = _scores_of_method(given, totals, members, evidence, params)
     else:
-        votes = votes_of(given, sender_trust) if votes is None else votes
+        votes = object_votes(given, sender_trust) if votes is None else votes
         of_egos = sender_trust.of_egos(params.fixed_ego_trust)
         of_egos = np.where(np.isnan(of_egos), params.default_trust, of_egos)
         score = score_objects(votes.with_trust(sender_trust.trust, of_egos[lists.of(seeds)]))
@@ -268,14 +267,6 @@ def _scores_of_method(
         evidence=evidence,
     )
     return np.clip(METHODS[params.method](sums, params), 0.0, 1.0)
-
-
-def votes_of(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
-    """Votes on the groups of each ego. They do not depend on trust, so several fusions can share them."""
-    t, evaluated = sender_trust.canonical(), given.evaluated
-    n_evaluators = max(1, evaluated.owner.size)
-    with threads_for(t.message.size * evaluated.member.size / n_evaluators) as n_threads:
-        return object_votes(given, t, n_threads)
 
 
 def _closest(given: FusionInput, distance_m: Float[ndarray, "d"], self_reports: bool) -> Int[ndarray, "g"]:

@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import prange
 from numpy import ndarray
 
-from cosim.base.kernel import compiled, inlined, parallel
-from cosim.base.threads import threads_for
+from cosim.base.kernel import compiled, inlined
+from cosim.base.threads import in_ranges
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust, int64
 
@@ -169,8 +168,12 @@ def _add(of, begin, end, t, message, at, ego):
 
 
 @compiled
-def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals):
-    """Add up the groups of every `n_chunks`-th ego."""
+def _accumulate(begin, end, longest, lists, evaluated_by, own, reported, weights, sums, totals):
+    """Fill the sums of the groups of the egos `begin` to `end`, and those of all members where there is room for them.
+
+    `evaluated_by` is the row of the evaluator's list per message row, -1 for none; no ego's list is longer than
+    `longest`.
+    """
     received_ptr, received, trust, has_evaluations, of_egos, default_trust, unit_trust = weights
     at = np.full(lists.message.size, -1, np.int32)
     known = np.full(evaluated_by.size, default_trust)
@@ -182,24 +185,24 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         np.empty(longest, np.int32),
         np.empty(longest, np.int32),
     )
-    for x in range(chunk, lists.owner.size, n_chunks):
+    for x in range(begin, end):
         ego = lists.owner[x]
-        begin, end = lists.ptr[x], lists.ptr[x + 1]
-        if begin == end:
+        first_row, stop = lists.ptr[x], lists.ptr[x + 1]
+        if first_row == stop:
             continue
         for h in range(received_ptr[x], received_ptr[x + 1]):
             known[received[h]] = trust[h]
         if not np.isnan(of_egos[x]):
             known[ego] = of_egos[x]
-        first = lists.group[begin]
-        for p in range(begin, end):
+        first = lists.group[first_row]
+        for p in range(first_row, stop):
             first = min(first, lists.group[p])
-        for k in range(end - begin):
-            at[lists.member[begin + k]] = k
+        for k in range(stop - first_row):
+            at[lists.member[first_row + k]] = k
             room.num[k] = room.den[k] = 0.0
             room.n[k] = room.n_evaluators[k] = 0
             room.last[k] = -1
-            room.group[k] = lists.group[begin + k] - first
+            room.group[k] = lists.group[first_row + k] - first
         v = evaluated_by[ego]
         if v >= 0:
             t = 1.0 if unit_trust else known[ego]
@@ -210,8 +213,8 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             if v >= 0 and message != ego and has_evaluations[h]:
                 t = 1.0 if unit_trust else known[message]
                 _add(reported, reported.ptr[v], reported.ptr[v + 1], t, message, at, room)
-        for k in range(end - begin):
-            d = lists.member[begin + k]
+        for k in range(stop - first_row):
+            d = lists.member[first_row + k]
             at[d] = -1
             g = first + room.group[k]
             s = lists.score[d]
@@ -226,7 +229,7 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
             if room.n_evaluators[k] > 0:
                 totals.n_evaluators[first + k] = room.n_evaluators[k]
             if sums.num.size:
-                row = begin + k
+                row = first_row + k
                 sums.num[row] = room.num[k]
                 sums.den[row] = room.den[k]
                 sums.n[row] = room.n[k]
@@ -234,17 +237,6 @@ def _of_egos(chunk, n_chunks, longest, lists, evaluated_by, own, reported, weigh
         for h in range(received_ptr[x], received_ptr[x + 1]):
             known[received[h]] = default_trust
         known[ego] = default_trust
-
-
-@parallel
-def _accumulate(longest, lists, evaluated_by, own, reported, weights, n_chunks, sums, totals):
-    """Fill the sums of all groups, and those of all members where there is room for them.
-
-    `evaluated_by` is the row of the evaluator's list per message row, -1 for none; no ego's list is longer than
-    `longest`.
-    """
-    for chunk in prange(n_chunks):  # in parallel an unsigned number, for which a kernel would be compiled once more
-        _of_egos(np.int64(chunk), n_chunks, longest, lists, evaluated_by, own, reported, weights, sums, totals)
 
 
 def sums_of_groups(
@@ -266,7 +258,7 @@ def sums_of_groups(
     Totals of the groups, in the order of `given.groups.seeds()`, and sums of the positions of `given.lists.member`; the
     latter have no rows without `code_parity`.
     """
-    t, lists, evaluated = sender_trust, given.lists, given.evaluated
+    t, lists = sender_trust, given.lists
     assert np.all(t.trust >= 0)
     weights = _Weights(
         ptr=int64(t.ptr),
@@ -279,9 +271,11 @@ def sums_of_groups(
     )
     members = MemberSums.of(lists.member.size * params.code_parity)
     totals = GroupTotals.zeros(given.groups.seeds().size)
-    n_evaluators = max(1, evaluated.owner.size)
-    n_sums = lists.member.size + t.message.size * evaluated.member.size / n_evaluators
     longest = int(np.diff(lists.ptr).max(initial=0))
-    with threads_for(n_sums) as n_threads:
-        _accumulate(longest, *KernelInput.of(given, t.message), weights, n_threads, members, totals)
+    arrays = KernelInput.of(given, t.message)
+
+    def add(begin: int, end: int) -> None:
+        _accumulate(begin, end, longest, *arrays, weights, members, totals)
+
+    in_ranges(add, lists.owner.size)
     return totals, members

@@ -1,14 +1,13 @@
 """Matching: detections of one object by several sources."""
 
-from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import prange
 from numpy import ndarray
 
-from cosim.base.kernel import compiled, parallel
-from cosim.base.threads import threads_for
+from cosim.base.kernel import compiled
+from cosim.base.threads import in_ranges
 from trust.params import TrustParams
 from trust.tables import Groups, ObjectLists, SentDetections, float64, int64
 
@@ -56,36 +55,11 @@ def _offer(s, t, member, seed, first, ptr, other, value, v, offer, offer_iou, of
             offer_list[d] = v
 
 
-@parallel
-def _seeds(list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, n_chunks):
-    """Seed of each position, and whether it is the owner's detection."""
-    seeds = np.empty(members.size, np.int64)
-    by_owner = np.empty(members.size, np.bool_)
-    for chunk in prange(n_chunks):  # in parallel an unsigned number, for which a kernel would be compiled once more
-        _seeds_of_lists(
-            np.int64(chunk),
-            n_chunks,
-            list_ptr,
-            members,
-            owner,
-            message,
-            ptr,
-            other,
-            value,
-            one_per_vehicle,
-            seeds,
-            by_owner,
-        )
-    return seeds, by_owner
-
-
 @compiled
-def _seeds_of_lists(
-    chunk, n_chunks, list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, seeds, by_owner
-):
-    """Write `seeds` and `by_owner` of every `n_chunks`-th list."""
+def _seeds(begin, end, list_ptr, members, owner, message, ptr, other, value, one_per_vehicle, seeds, by_owner):
+    """Write the seed of each position of the lists `begin` to `end`, and whether it is the owner's detection."""
     longest = 0
-    for v in range(chunk, len(list_ptr) - 1, n_chunks):
+    for v in range(begin, end):
         longest = max(longest, list_ptr[v + 1] - list_ptr[v])
     # of the list under way, by position in it: where the detections of the same message start, and the seed
     block = np.empty(longest, np.int32)
@@ -98,7 +72,7 @@ def _seeds_of_lists(
     n_choices = longest if one_per_vehicle else 0
     choice, winner, waiting = np.empty((3, n_choices), np.int32)
     choice_iou = np.empty(n_choices)
-    for v in range(chunk, len(list_ptr) - 1, n_chunks):
+    for v in range(begin, end):
         member = members[list_ptr[v] : list_ptr[v + 1]]
         s = np.int64(0)  # a literal would be a type of its own, for which kernels are compiled once more
         while s < len(member):
@@ -191,6 +165,24 @@ Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
 """Rows of two detections, and how well they agree."""
 
 
+class Partners(NamedTuple):
+    """The detections with which each detection may be of one object; detection d has the rows ptr[d]:ptr[d + 1]."""
+
+    ptr: Int[ndarray, "d+1"]
+    other: Int[ndarray, "2*q"]
+    value: Float[ndarray, "2*q"]
+    """How well they agree."""
+
+    @staticmethod
+    def of(pairs: Pairs, n: int, params: TrustParams) -> "Partners":
+        """Of n detections, from pairs as `match` takes them."""
+        least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
+        kept = pairs[2] > least  # False for a NaN
+        i, j, value = pairs if kept.all() else (column[kept] for column in pairs)
+        i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
+        return Partners(*_partners(i, j, float64(value), n))
+
+
 def match(
     lists: ObjectLists,
     detections: SentDetections,
@@ -218,26 +210,18 @@ def match(
     Deviations: the paper matches against the ego's detections only and one per vehicle; here detections that
     the ego lacks form groups too, which its later sections need, and one per vehicle is an option.
     """
-    return match_each((lists,), detections, pairs, params)[0]
+    return match_partners(lists, detections, Partners.of(pairs, len(detections), params), params)
 
 
-def match_each(
-    lists: Sequence[ObjectLists],
-    detections: SentDetections,
-    pairs: Pairs,
-    params: TrustParams,
-) -> list[Groups]:
-    """Groups as `match` finds them, of several sets of lists of the same detections."""
-    least = params.tau if params.matching == "iou" else 0.0  # pairs within gates are no others
-    kept = pairs[2] > least  # False for a NaN
-    i, j, iou = pairs if kept.all() else (column[kept] for column in pairs)
-    i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
-    partners = _partners(i, j, float64(iou), len(detections))
-    message = int64(detections.message)
-    found = []
-    for each in lists:
-        of_list = int64(each.ptr), int64(each.member), int64(each.owner)
-        with threads_for(each.member.size) as n:
-            seeds, by_owner = _seeds(*of_list, message, *partners, params.one_per_vehicle, n)
-        found.append(Groups(seeds, by_owner))
-    return found
+def match_partners(lists: ObjectLists, detections: SentDetections, partners: Partners, params: TrustParams) -> Groups:
+    """Groups as `match` finds them. Several sets of lists may share the partners."""
+    of_list = int64(lists.ptr), int64(lists.member), int64(lists.owner)
+    given = *of_list, int64(detections.message), *partners, params.one_per_vehicle
+    n = lists.member.size
+    groups = Groups(np.empty(n, np.int64), np.empty(n, bool))
+
+    def find(begin: int, end: int) -> None:
+        _seeds(begin, end, *given, groups.seed, groups.ego_detected)
+
+    in_ranges(find, lists.owner.size)
+    return groups

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import prange
 from numpy import ndarray
 
-from cosim.base.kernel import parallel
-from cosim.base.ragged import owner_of_rows
+from cosim.base.kernel import compiled
+from cosim.base.ragged import offsets, owner_of_rows
+from cosim.base.threads import in_ranges
 from trust.group_sums import KernelInput
 from trust.tables import FusionInput, SenderTrust, int64
 
@@ -83,102 +83,105 @@ class _Votes(NamedTuple):
         )
 
 
-@parallel
-def _reports(lists, evaluated_by, own, reported, messages, n_chunks, row_ptr, out):
-    """Counts rows per ego if `out` is empty, else fills them; returns the counts."""
+@compiled
+def _reports(begin_ego, end_ego, lists, evaluated_by, own, reported, messages, row_ptr, n_rows, out):
+    """Count the rows of the egos `begin_ego` to `end_ego` into `n_rows`, and fill them unless `out` is empty."""
     list_ptr, member, owner, group, message, _ = lists
     received_ptr, received, has_evaluations = messages
     out_group, out_position, out_favour, out_visibility = out
-    n_rows = np.zeros(owner.size, np.int64)
     fill = out_group.size > 0
-    for chunk in prange(n_chunks):
-        at = np.full(message.size, -1, np.int32)
-        begin = np.zeros(evaluated_by.size, np.int64)
-        end = np.zeros(evaluated_by.size, np.int64)
-        for x in range(chunk, owner.size, n_chunks):
-            a, b = list_ptr[x], list_ptr[x + 1]
-            if a == b:
+    at = np.full(message.size, -1, np.int32)
+    begin = np.zeros(evaluated_by.size, np.int64)
+    end = np.zeros(evaluated_by.size, np.int64)
+    for x in range(begin_ego, end_ego):
+        a, b = list_ptr[x], list_ptr[x + 1]
+        if a == b:
+            continue
+        first, last = group[a], group[a]
+        for p in range(a, b):
+            at[member[p]] = p
+            first = min(first, group[p])
+            last = max(last, group[p])
+            m = message[member[p]]
+            if end[m] == 0:
+                begin[m] = p
+            end[m] = p + 1
+        side = np.zeros(last - first + 1, np.int64)  # 0 silent, 1 against, 2 in favour
+        phi_of = np.zeros(last - first + 1)
+        touched = np.empty(last - first + 1, np.int64)
+        n_out = row_ptr[x]
+        for h in range(received_ptr[x] - 1, received_ptr[x + 1]):
+            is_own = h < received_ptr[x]
+            v = owner[x] if is_own else received[h]
+            if not is_own and v == owner[x]:
                 continue
-            first, last = group[a], group[a]
-            for p in range(a, b):
-                at[member[p]] = p
-                first = min(first, group[p])
-                last = max(last, group[p])
-                m = message[member[p]]
-                if end[m] == 0:
-                    begin[m] = p
-                end[m] = p + 1
-            side = np.zeros(last - first + 1, np.int64)  # 0 silent, 1 against, 2 in favour
-            phi_of = np.zeros(last - first + 1)
-            touched = np.empty(last - first + 1, np.int64)
-            n_out = row_ptr[x]
-            for h in range(received_ptr[x] - 1, received_ptr[x + 1]):
-                is_own = h < received_ptr[x]
-                v = owner[x] if is_own else received[h]
-                if not is_own and v == owner[x]:
-                    continue
-                n_touched = 0
-                for p in range(begin[v], end[v]):
+            n_touched = 0
+            for p in range(begin[v], end[v]):
+                g = group[p] - first
+                if side[g] == 0:
+                    touched[n_touched] = g
+                    n_touched += 1
+                side[g], phi_of[g] = 2, -1.0
+            row = evaluated_by[v]
+            if row >= 0 and (is_own or has_evaluations[h]):
+                of = own if is_own else reported
+                e, phi = of.evaluation, of.visibility
+                for s in range(of.ptr[row], of.ptr[row + 1]):
+                    p = at[of.member[s]]
+                    if p < 0 or phi[s] == 0.0:
+                        continue
                     g = group[p] - first
+                    now = 2 if e[s] > 0.0 else 1
                     if side[g] == 0:
                         touched[n_touched] = g
                         n_touched += 1
-                    side[g], phi_of[g] = 2, -1.0
-                row = evaluated_by[v]
-                if row >= 0 and (is_own or has_evaluations[h]):
-                    of = own if is_own else reported
-                    e, phi = of.evaluation, of.visibility
-                    for s in range(of.ptr[row], of.ptr[row + 1]):
-                        p = at[of.member[s]]
-                        if p < 0 or phi[s] == 0.0:
-                            continue
-                        g = group[p] - first
-                        now = 2 if e[s] > 0.0 else 1
-                        if side[g] == 0:
-                            touched[n_touched] = g
-                            n_touched += 1
-                        if now > side[g]:
-                            side[g], phi_of[g] = now, phi[s]
-                        elif now == side[g]:
-                            phi_of[g] = max(phi_of[g], phi[s])
-                for k in range(n_touched):
-                    g = touched[k]
-                    if fill:
-                        out_group[n_out], out_position[n_out] = first + g, h
-                        out_favour[n_out] = side[g] == 2
-                        out_visibility[n_out] = 1.0 if phi_of[g] < 0.0 else phi_of[g]
-                    n_out += 1
-                    side[g], phi_of[g] = 0, 0.0
-            n_rows[x] = n_out - row_ptr[x]
-            for p in range(a, b):
-                at[member[p]] = -1
-                end[message[member[p]]] = 0
-                begin[message[member[p]]] = 0
-    return n_rows
+                    if now > side[g]:
+                        side[g], phi_of[g] = now, phi[s]
+                    elif now == side[g]:
+                        phi_of[g] = max(phi_of[g], phi[s])
+            for k in range(n_touched):
+                g = touched[k]
+                if fill:
+                    out_group[n_out], out_position[n_out] = first + g, h
+                    out_favour[n_out] = side[g] == 2
+                    out_visibility[n_out] = 1.0 if phi_of[g] < 0.0 else phi_of[g]
+                n_out += 1
+                side[g], phi_of[g] = 0, 0.0
+        n_rows[x] = n_out - row_ptr[x]
+        for p in range(a, b):
+            at[member[p]] = -1
+            end[message[member[p]]] = 0
+            begin[message[member[p]]] = 0
 
 
-def object_votes(given: FusionInput, received: SenderTrust, n_threads: int) -> ObjectVotes:
-    """Votes on the groups of each ego.
+def object_votes(given: FusionInput, sender_trust: SenderTrust) -> ObjectVotes:
+    """Votes on the groups of each ego. They do not depend on trust, so several fusions can share them.
 
     Parameters
     ----------
     given
         What the egos fuse.
-    received
-        As `SenderTrust.canonical` returns it; its lists are those of `given.lists`. No trust is read.
+    sender_trust
+        The messages that each ego has received; its lists are those of `given.lists`. No trust is read.
 
     Returns
     -------
     Votes by ego; those of one ego are in the order of the received messages, after its own.
     """
+    received = sender_trust.canonical()
     messages = _Received(int64(received.ptr), int64(received.message), received.arrived())
-    given_arrays = KernelInput.of(given, received.message)
-    no_rows = np.zeros(given.lists.owner.size + 1, np.int64)
-    n_rows = _reports(*given_arrays, messages, n_threads, no_rows, _Votes.of(0))
-    row_ptr = np.concatenate([[0], np.cumsum(n_rows)])
-    out = _Votes.of(int(row_ptr[-1]))
-    if out.group.size:
-        _reports(*given_arrays, messages, n_threads, row_ptr, out)
-    is_own = out.position < messages.ptr[owner_of_rows(n_rows)]
-    received_row = np.where(is_own, -1, out.position)
-    return ObjectVotes(out.group, out.in_favour, out.visibility, received_row, given.groups.seeds().size)
+    arrays = KernelInput.of(given, received.message)
+    n_egos = given.lists.owner.size
+    n_rows = np.zeros(n_egos, np.int64)
+
+    def report(row_ptr: ndarray, out: _Votes) -> None:
+        in_ranges(lambda begin, end: _reports(begin, end, *arrays, messages, row_ptr, n_rows, out), n_egos)
+
+    report(np.zeros(n_egos + 1, np.int64), _Votes.of(0))
+    row_ptr = offsets(n_rows)
+    votes = _Votes.of(int(row_ptr[-1]))
+    if votes.group.size:
+        report(row_ptr, votes)
+    is_own = votes.position < messages.ptr[owner_of_rows(n_rows)]
+    received_row = np.where(is_own, -1, votes.position)
+    return ObjectVotes(votes.group, votes.in_favour, votes.visibility, received_row, given.groups.seeds().size)

@@ -92,6 +92,18 @@ class ObjectLists:
         rows = np.flatnonzero(keep)
         return ObjectLists(np.searchsorted(rows, self.ptr), self.member[rows], self.owner)
 
+    def part(self, first: int, last: int) -> "ObjectLists":
+        """The same lists, of which only those from `first` to `last` have members."""
+        begin, end = self.ptr[first], self.ptr[last]
+        ptr = np.clip(self.ptr, begin, end) - begin
+        return ObjectLists(ptr, self.member[begin:end], self.owner)
+
+    @staticmethod
+    def joined(parts: "Sequence[ObjectLists]") -> "ObjectLists":
+        """The inverse of `part`, for all parts in their order."""
+        ptr = np.sum([part.ptr for part in parts], axis=0)
+        return ObjectLists(ptr, np.concatenate([part.member for part in parts]), parts[0].owner)
+
 
 @dataclass(frozen=True)  # as `ObjectLists`
 class Groups:
@@ -99,6 +111,14 @@ class Groups:
 
     seed: Int[ndarray, "m"]  # position of the group's seed; its own position for a seed
     ego_detected: Bool[ndarray, "m"]  # the seed is a detection of the list's owner
+
+    @staticmethod
+    def joined(parts: "Sequence[Groups]") -> "Groups":
+        """Groups of the lists that `ObjectLists.joined` returns, from those of the parts."""
+        begins = offsets(np.array([part.seed.size for part in parts]))
+        seeds = [part.seed + begin for part, begin in zip(parts, begins, strict=False)]
+        ego_detected = [part.ego_detected for part in parts]
+        return Groups(np.concatenate(seeds), np.concatenate(ego_detected))
 
     def seeds(self) -> Int[ndarray, "g"]:
         """Positions of the seeds, ascending: the canonical order of groups."""
@@ -120,15 +140,11 @@ class Groups:
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluations:
+class Evaluations(Rows):
     """Evaluation of each detection in the object lists by the list's owner."""
 
     evaluation: Float[ndarray, "m"]  # e in [-1, 1]
     visibility: Float[ndarray, "m"]  # Phi in [0, 1]
-
-    def take(self, at: Int[ndarray, "k"] | Bool[ndarray, "m"]) -> "Evaluations":
-        """The evaluations in these rows."""
-        return Evaluations(self.evaluation[at], self.visibility[at])
 
 
 @dataclass(frozen=True, slots=True)

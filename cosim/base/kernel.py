@@ -20,7 +20,7 @@ from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from numba import njit, threading_layer
+from numba import njit
 from numba.core import caching
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
@@ -155,19 +155,9 @@ _COUNTED: dict[str, Any] = _OPTIONS | {"_nrt": True}
 
 compiled = njit(**_COUNTED)
 """Decorator: compiled, cached; not for functions that a kernel calls."""
-parallel = njit(**_COUNTED, parallel=True)
-"""Decorator: the same, with `prange` over threads."""
 kernel = njit(**_COUNTLESS)
 """Decorator: compiled, cached; must neither allocate nor return arrays, which callers would release once too often."""
 dividing = njit(**_COUNTLESS, error_model="numpy")
 """Decorator: as `kernel`; division by zero is infinite, not an error, and many are made at once."""
 inlined = njit(**_COUNTLESS, inline="always")
 """Decorator: the same, inlined into its callers."""
-
-
-def threads_may_meet() -> bool:
-    """Whether two threads may run parallel kernels at once: with Numba's layers omp and tbb, and not with workqueue."""
-    try:
-        return threading_layer() != "workqueue"
-    except ValueError:  # no parallel kernel has run yet
-        return False

@@ -1,39 +1,43 @@
-"""How many threads a piece of work is worth, and compiled work in several threads."""
+"""How many threads compiled work may use, and work divided among them."""
 
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from time import perf_counter
+from typing import TypeVar
 
 import numba
+import numpy as np
 
+_Result = TypeVar("_Result")
+
+CORES: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+"""Most threads: one per core that this process may use, or what the variable NUMBA_NUM_THREADS says."""
 _RANGES_PER_THREAD = 4  # some have more work than others
 _TRIED_OF = 256  # so few items are tried that doing them in one thread costs nothing
 _WORTH_S = 1e-3  # threads that begin and end cost a third of it, and more where processors are busy
-_ROWS_PER_THREAD = 50_000  # about a millisecond; below it threads wait for each other longer than they work
+_of_this_thread = threading.local()
 
 
-@contextmanager
-def threads_for(n_rows: float) -> Iterator[int]:
-    """Numba's threads within the block: one for little work, at most those it was given."""
-    before = numba.get_num_threads()
-    n = max(1, min(before, int(n_rows / _ROWS_PER_THREAD)))
-    numba.set_num_threads(n)
-    try:
-        yield n
-    finally:
-        numba.set_num_threads(before)
+def n_threads() -> int:
+    """How many threads the work of this thread may use."""
+    found: int = getattr(_of_this_thread, "n", CORES)
+    return found
+
+
+def use_threads(n: int) -> None:
+    """Let the work of this thread use n threads. This does not concern other threads."""
+    _of_this_thread.n = n
 
 
 def in_ranges(work: Callable[[int, int], object], n: int) -> None:
-    """Call `work(begin, end)` for ranges that cover n items, in as many threads as Numba may use here.
+    """Call `work(begin, end)` for ranges that cover n items, in as many threads as this one may use.
 
     Its items must be independent, and a compiled function without Python's lock must do the work. This takes a quarter
     of the time to compile that `prange` takes. This thread tries a few items first. If they took next to no time, it
     does the others, too.
     """
-    n_threads = min(numba.get_num_threads(), n)
-    if n_threads < 2:
+    if min(n_threads(), n) < 2:
         work(0, n)
         return
     n_tried = max(1, n // _TRIED_OF)
@@ -42,9 +46,35 @@ def in_ranges(work: Callable[[int, int], object], n: int) -> None:
     if (perf_counter() - begin) * (n / n_tried - 1) < _WORTH_S:
         work(n_tried, n)
         return
-    n_ranges = _RANGES_PER_THREAD * n_threads
-    n_left = n - n_tried
-    bounds = [n_tried + n_left * k // n_ranges for k in range(n_ranges + 1)]
-    with ThreadPoolExecutor(n_threads) as threads:
-        for _ in threads.map(work, bounds[:-1], bounds[1:]):
-            pass
+    n_ranges = _RANGES_PER_THREAD * n_threads()
+    bounds = n_tried + (n - n_tried) * np.arange(n_ranges + 1) // n_ranges
+    in_parts(work, bounds.tolist())
+
+
+def in_parts(
+    work: Callable[[int, int], _Result],
+    bounds: Sequence[int],
+    most: int = CORES,
+) -> list[_Result]:
+    """What `work(begin, end)` returns for all neighbouring bounds, in their order.
+
+    Parameters
+    ----------
+    work
+        It must neither depend on other parts nor change what they read. In several threads, each uses one.
+    bounds
+        Where the parts begin, and where the last one ends.
+    most
+        Most threads, if this one may use more.
+    """
+    begins, ends = bounds[:-1], bounds[1:]
+    n = min(n_threads(), most, len(begins))
+    if n < 2:
+        return list(map(work, begins, ends))
+
+    def alone(begin: int, end: int) -> _Result:
+        use_threads(1)
+        return work(begin, end)
+
+    with ThreadPoolExecutor(n) as threads:
+        return list(threads.map(alone, begins, ends))

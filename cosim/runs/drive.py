@@ -6,14 +6,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.params import rings_too_large
 from cosim.base.codes import OBJECT, PARKED, DetectionFault, labels
-from cosim.base.kernel import threads_may_meet
+from cosim.base.threads import CORES, n_threads, use_threads
 from cosim.config.config import Config
 from cosim.runs import checkpoint, recording
 from cosim.runs.checkpoint import CannotCheckpoint
@@ -51,7 +50,6 @@ _MOST_AT_ONCE = 10
 """A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
 STATE_VERSION = 22
 """Increase this number when the code can no longer read the states of earlier versions."""
-_CORES = numba.get_num_threads()
 _EQUIPPED_PER_THREAD = 100
 """With fewer vehicles a step takes about 20 ms, and further threads cost more than they save on busy cores."""
 
@@ -96,7 +94,7 @@ class Drive:
         keep_freed_memory()
         give_back_freed_memory()  # memory that reading the city took
         c, perception = self.parts.config, self.parts.perception
-        has_room = isinstance(perception, Perception) and c.compute.threads != 1 and _CORES > 1
+        has_room = isinstance(perception, Perception) and c.compute.threads != 1 and CORES > 1
         if c.driver.model != "none" or not has_room:
             self._run(None, None)  # the next world depends on the present step, or there is no second core
             return
@@ -128,7 +126,7 @@ class Drive:
                     self._check_repeated(world)
                 self.advance("repeat traffic", number + 1, first, "steps")
                 continue
-            numba.set_num_threads(_threads(self.parts, int(world.equipped.sum())))
+            use_threads(_threads(self.parts, int(world.equipped.sum())))
             self._look_ahead(number, ahead)
             precomputed = NOTHING_PRECOMPUTED if ahead is None else ahead.of(world)
             state, result = step(world, state, self.parts, precomputed)
@@ -136,11 +134,10 @@ class Drive:
                 self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
             with self.parts.watch("record"):
                 self._wait_for_rows()
-            n_threads = numba.get_num_threads()
-            if recording_thread is not None and n_threads > 1 and threads_may_meet():
-                self._recording = recording_thread.submit(self._record, result, self._watch, n_threads)
+            if recording_thread is not None and n_threads() > 1:
+                self._recording = recording_thread.submit(self._record, result, self._watch, n_threads())
             else:
-                self._record(result, self.parts.watch, n_threads)
+                self._record(result, self.parts.watch, n_threads())
             with self.parts.watch("record"):
                 commands = result.commands.actor, result.commands.speed_mps
                 if len(result.commands):
@@ -167,9 +164,9 @@ class Drive:
         if self.broken is not None:
             raise self.broken
 
-    def _record(self, result: StepResult, watch: Stopwatch, n_threads: int) -> None:
+    def _record(self, result: StepResult, watch: Stopwatch, n: int) -> None:
         """Fuse, and append the rows of a step. Both depend on its result only, so the next step may go on meanwhile."""
-        numba.set_num_threads(n_threads)  # a setting of each thread
+        use_threads(n)
         if result.sensed is not None:
             with watch("fuse"):
                 result.sensed.fused()
@@ -349,4 +346,4 @@ def _pseudonym_summary(config: Config, state: State) -> dict[str, Any]:
 
 def _threads(parts: Parts, n_equipped: int) -> int:
     """Threads for one step: the number in the config, or one per `_EQUIPPED_PER_THREAD` equipped vehicles."""
-    return min(parts.config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), _CORES)
+    return min(parts.config.compute.threads or max(1, n_equipped // _EQUIPPED_PER_THREAD), CORES)

@@ -131,10 +131,10 @@ def _scores_of_removed(
 
 
 def _inserted(exchange: Exchange, messages: Known, compared: Compared) -> Inserted:
-    receiver, detection, seed = compared.fabricated
-    sender = messages.vehicle[messages.detections.message[detection]]
-    foreign = sender != exchange.vehicles.senses[receiver]
-    return Inserted(detection[foreign], receiver[foreign], seed[foreign])
+    lies = compared.fabricated
+    sender = messages.vehicle[messages.detections.message[lies.detection]]
+    lies = lies.take(sender != exchange.vehicles.senses[lies.list])
+    return Inserted(lies.detection, lies.list, lies.seed)
 
 
 def _removed(exchange: Exchange, messages: Known) -> Removed:

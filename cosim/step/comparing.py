@@ -5,6 +5,7 @@ messages of its result, and `cosim.step.fuse` fuses the groups. A vehicle uses t
 sweep, so that the result of one vehicle does not depend on what others compute.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -12,7 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from cosim.messages.content import FABRICATED
+from cosim.base.rows import Rows
+from cosim.base.threads import in_parts, n_threads
+from cosim.messages.content import FABRICATED, velocities
 from cosim.step.accuracy import ALONG_BOTH, pose_variance
 from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
@@ -20,17 +23,19 @@ from cosim.step.object_lists import questions_of, received_lists
 from cosim.step.parts import Parts
 from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.sense import Positioned
+from cosim.step.stopwatch import Stopwatch
 from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
 from sensors.box_fusion import StatedAccuracy
 from sensors.boxes import Boxes, overlapping_pairs, pairs_between
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence
-from trust.matching import match_each
+from trust.matching import Partners, match_partners
 from trust.params import TrustParams
 from trust.tables import Evaluations, Groups, ObjectLists, SentDetections
 
 
-class FabricatedDetections(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FabricatedDetections(Rows):
     """Fabricated detections in the lists of what vehicles know: ground truth."""
 
     list: Int[ndarray, "k"]
@@ -75,6 +80,18 @@ class Compared:
     fabricated: FabricatedDetections
     """By list; beyond the area, too."""
 
+    @staticmethod
+    def joined(parts: "Sequence[Compared]") -> "Compared":
+        """What all vehicles find, from parts whose vehicles follow each other."""
+        return Compared(
+            lists=ObjectLists.joined([part.lists for part in parts]),
+            groups=Groups.joined([part.groups for part in parts]),
+            n_points=np.concatenate([part.n_points for part in parts]),
+            plausible=np.concatenate([part.plausible for part in parts]),
+            own=Evaluations.concat([part.own for part in parts]),
+            fabricated=FabricatedDetections.concat([part.fabricated for part in parts]),
+        )
+
 
 def compare_objects(
     exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts
@@ -83,60 +100,133 @@ def compare_objects(
 
     Sweeps are not read again in this step.
     """
-    objects, detections, senders = messages.objects, messages.detections, exchange.senders
-    boxes, area, params = objects.boxes, parts.area, parts.config.trust
+    objects, senders, params = messages.objects, exchange.senders, parts.config.trust
     sweeps = positioned.observed.sweeps
-    origin_m = sweeps.poses.origin_m
     n_now = int(messages.ptr[len(senders)])  # detections of this step; those of earlier messages follow
     with parts.watch("match"):
         pairs = _pairs(messages, n_now, params)
         received = _with_own_identities(messages.received, senders)
         lists = received_lists(received, messages.ptr, objects.transmitted, senders.own)
-        bodies = positioned.world.boxes.take(exchange.sensing.row)  # where each vehicle believes itself to be
-        inside = parts.perception.in_area(
-            sweeps, lists.of_member(), boxes, area, lists.member, detections.label, bodies
+        # The evaluator's own position has an error, too.
+        own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
+        comparison = _Comparison(
+            messages=messages,
+            partners=Partners.of(pairs, len(messages.detections), params),
+            sweeps=sweeps,
+            bodies=positioned.world.boxes.take(exchange.sensing.row),
+            velocity_mps=np.nan_to_num(velocities(objects)),
+            accuracy=RelativeAccuracy(objects.variance_m2, own_m2),
+            parts=parts,
         )
-        near = lists.subset(inside)
-        groups, near_groups = match_each((lists, near), detections, pairs, params)
-    with parts.watch("evaluate"):
-        seeds = groups.seeds()
-        away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
-        # Of what stands beyond the range, no return counts and nothing is tested. Ranges are those of bottom centres.
-        may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
-        is_tested = _is_tested(groups, near_groups, inside, seeds[may_count])
-        questions, counted, tested = questions_of(lists, inside, is_tested, objects, detections, area)
-        n_points = np.zeros(len(lists.member), np.int32)
-        plausible = np.ones(len(lists.member), bool)
-        n_points[counted], plausible[tested] = parts.perception.answers(sweeps, questions)
-        permitted, compared_share = plausible.astype(float), None
-        if params.matching == "gates":
-            # The evaluator's own position has an error, too.
-            own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
-            accuracy = RelativeAccuracy(objects.variance_m2, own_m2)
-            permitted = _permitted_share(parts.perception, sweeps, lists, plausible, questions, accuracy)
-            plausible = permitted >= 0.5
-            compared_share = certainty(accuracy.variance_m2(near.member, near.of_member()))
-        recall = None
-        if parts.recall is not None:
-            range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
-            recall = parts.recall(n_points[inside], detections.label[near.member], range_m)
-        own = evaluate(
-            near, near_groups, detections, n_points[inside], permitted[inside], params, recall, compared_share
-        )
-        at = np.flatnonzero(objects.origin[lists.member] == FABRICATED)
-        seed = lists.member[groups.seed[at]]
-        fabricated = FabricatedDetections(lists.of(at), lists.member[at], seed)
-    found = ObjectGroups(
+    watches = []
+
+    def compare(first: int, last: int) -> _OfLists:
+        watch = parts.watch.of_thread()
+        watches.append(watch)
+        return comparison.of_lists(lists.part(first, last), watch)
+
+    found = in_parts(compare, _bounds(lists.ptr))
+    for watch in watches:
+        parts.watch.add(watch, min(n_threads(), len(watches)))
+    compared = Compared.joined([one.compared for one in found])
+    groups = ObjectGroups(
         lists=lists,
-        groups=groups,
-        detections=detections,
-        boxes=boxes,
-        of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m),
+        groups=Groups.joined([one.groups for one in found]),
+        detections=messages.detections,
+        boxes=objects.boxes,
+        of_seeds=SensorEvidence.concat([one.of_seeds for one in found]),
         pairs=pairs,
-        from_own_m=_from_own_m(exchange, messages, n_now, origin_m, params),
+        from_own_m=_from_own_m(exchange, messages, n_now, sweeps.poses.origin_m, params),
         accuracy=_accuracy(exchange, messages, positioned, parts),
     )
-    return Compared(near, near_groups, n_points[inside], plausible[inside], own, fabricated), found
+    return compared, groups
+
+
+_PART = 16_384
+"""Detections in the lists that are compared at once. Columns of so many stay in a core's cache."""
+
+
+def _bounds(ptr: Int[ndarray, "e+1"]) -> list[int]:
+    """The lists at which parts of some `_PART` members begin, and the end of the last part."""
+    n = max(1, int(ptr[-1]) // _PART)
+    begins = ptr[-1] * np.arange(n) // n
+    lists = np.searchsorted(ptr, begins)
+    return [*lists.tolist(), len(ptr) - 1]
+
+
+class _OfLists(NamedTuple):
+    """What some vehicles find about the detections that they know."""
+
+    compared: Compared
+    groups: Groups
+    of_seeds: SensorEvidence
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """All that vehicles need to compare what they know with what they see."""
+
+    messages: Known
+    partners: Partners
+    sweeps: Any
+    bodies: Boxes
+    """Where each vehicle believes itself to be."""
+    velocity_mps: Float[ndarray, "d 2"]
+    """Of each detection; 0 where it states none."""
+    accuracy: "RelativeAccuracy"
+    parts: Parts
+
+    def of_lists(self, lists: ObjectLists, watch: Stopwatch) -> _OfLists:
+        """What the owners of these lists find."""
+        objects, detections = self.messages.objects, self.messages.detections
+        boxes, area, params = objects.boxes, self.parts.area, self.parts.config.trust
+        perception, origin_m = self.parts.perception, self.sweeps.poses.origin_m
+        with watch("match"):
+            inside = perception.in_area(
+                self.sweeps, lists.of_member(), boxes, area, lists.member, detections.label, self.bodies
+            )
+            near = lists.subset(inside)
+            groups = match_partners(lists, detections, self.partners, params)
+            near_groups = match_partners(near, detections, self.partners, params)
+        with watch("evaluate"):
+            seeds = groups.seeds()
+            away_m = distance_m(boxes.xyz_m, lists.member[seeds], origin_m, lists.of(seeds))
+            # Of what stands beyond the range, no return counts and nothing is tested. Ranges are those of bottom
+            # centres.
+            may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
+            is_tested = _is_tested(groups, near_groups, inside, seeds[may_count])
+            questions, counted, tested = questions_of(
+                lists, inside, is_tested, detections, boxes, self.velocity_mps, area
+            )
+            n_points = np.zeros(len(lists.member), np.int32)
+            plausible = np.ones(len(lists.member), bool)
+            n_points[counted], plausible[tested] = perception.answers(self.sweeps, questions)
+            permitted, compared_share = plausible.astype(float), None
+            if params.matching == "gates":
+                permitted = _permitted_share(perception, self.sweeps, lists, plausible, questions, self.accuracy)
+                plausible = permitted >= 0.5
+                compared_share = certainty(self.accuracy.variance_m2(near.member, near.of_member()))
+            recall = None
+            if self.parts.recall is not None:
+                range_m = distance_m(boxes.xyz_m, near.member, origin_m, near.of_member())
+                recall = self.parts.recall(n_points[inside], detections.label[near.member], range_m)
+            own = evaluate(
+                near, near_groups, detections, n_points[inside], permitted[inside], params, recall, compared_share
+            )
+            at = np.flatnonzero(objects.origin[lists.member] == FABRICATED)
+            seed = lists.member[groups.seed[at]]
+        return _OfLists(
+            compared=Compared(
+                lists=near,
+                groups=near_groups,
+                n_points=n_points[inside],
+                plausible=plausible[inside],
+                own=own,
+                fabricated=FabricatedDetections(lists.of(at), lists.member[at], seed),
+            ),
+            groups=groups,
+            of_seeds=SensorEvidence(n_points[seeds], plausible[seeds], away_m < area.range_m),
+        )
 
 
 def _with_own_identities(received: Uses, senders: Senders) -> Uses:

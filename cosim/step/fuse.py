@@ -21,7 +21,8 @@ from cosim.traffic.driver import Beliefs
 from cosim.world import World
 from sensors.box_fusion import ObjectViews, ViewLists, boxes_of_columns, fuse_boxes, overlap_p
 from sensors.boxes import Boxes
-from trust.fusion import Fused, fuse, votes_of
+from trust.fusion import Fused, fuse
+from trust.object_reports import object_votes
 from trust.params import TrustParams
 from trust.tables import Evaluations, FusionInput, ObjectLists, SenderTrust
 
@@ -49,7 +50,7 @@ def fuse_objects(
     for number, sender_trust in trust_of.items():
         params, scorer = hosts.variants[number].trust, scorers[number]
         if scorer is not None and votes is None:
-            votes = votes_of(given, sender_trust)
+            votes = object_votes(given, sender_trust)
         distance_m = None
         if groups.accuracy is None or params.fused_boxes == "best":
             distance_m = groups.from_own_m

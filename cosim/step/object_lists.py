@@ -1,13 +1,13 @@
 """The list of the detections that each vehicle knows, and what it asks its own sweep about them."""
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.ragged import offsets, ptr_of, ranges
-from cosim.messages.content import Detections, velocities
 from cosim.step.known import Uses
 from cosim.step.perception import BoxQuestions
+from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from trust import tables
 from trust.tables import ObjectLists
@@ -50,8 +50,9 @@ def questions_of(
     lists: ObjectLists,
     evaluated: Bool[ndarray, "m"],
     foreign: Bool[ndarray, "m"],
-    objects: Detections,
     detections: tables.SentDetections,
+    boxes: Boxes,
+    velocity_mps: Float[ndarray, "d 2"],
     area: AreaParams,
 ) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:
     """The questions of each vehicle to its own sweep about the boxes in its list.
@@ -67,8 +68,8 @@ def questions_of(
         Members that the vehicle evaluates.
     foreign
         Members that the vehicle did not detect itself.
-    objects, detections
-        All detections in the step.
+    detections, boxes, velocity_mps
+        All detections in the step, their boxes and velocities.
     area
         Where vehicles evaluate.
 
@@ -82,8 +83,8 @@ def questions_of(
     is_counted = (evaluated | foreign) & ~is_self
     counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
     asked = BoxQuestions(
-        boxes=objects.boxes,
-        velocity_mps=np.nan_to_num(velocities(objects)),
+        boxes=boxes,
+        velocity_mps=velocity_mps,
         area=area,
         counting=o[counted],
         counted=b[counted],

@@ -4,17 +4,15 @@ It also answers what a sweep says about boxes that other vehicles report.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
-from cosim.base.kernel import threads_may_meet
+from cosim.base.threads import in_parts, n_threads
 from cosim.messages.content import SENSED, Detections, self_reports
 from cosim.step.stopwatch import Stopwatch
 from cosim.world import World
@@ -182,28 +180,24 @@ class Perception:
             origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
             near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
             bodies = prisms(world.shape, world.boxes, world.speed_mps)
-        n_threads = min(numba.get_num_threads(), len(observers) // FEW + 1) if threads_may_meet() else 1
-        n_groups = max(1, -(-len(observers) // (GROUP * n_threads))) * n_threads
-        begins = np.linspace(0, len(observers), n_groups + 1).astype(int)
+        most = len(observers) // FEW + 1
+        n = min(n_threads(), most)
+        n_groups = max(1, -(-len(observers) // (GROUP * n))) * n
+        bounds = np.linspace(0, len(observers), n_groups + 1).astype(int).tolist()
 
         def sense(first: int, last: int) -> tuple[Seen, Stopwatch]:
-            if n_threads > 1:
-                numba.set_num_threads(1)  # a setting of each thread
             kept = self._groups.pop() if self._groups else NO_MEMORY
-            own = watch.of_thread() if n_threads > 1 else watch
+            own = watch.of_thread() if n > 1 else watch
             part = near.part(first, last)
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
             sweeps, here = self.sense(world, observers[first:last], own, memory)
             self._groups.append(SweepMemory(None, sweeps.hit))
             return here.behind(first), own
 
-        if n_threads == 1:
-            found = list(map(sense, begins[:-1], begins[1:]))
-        else:
-            with ThreadPoolExecutor(n_threads, "sensing") as threads:
-                found = list(threads.map(sense, begins[:-1], begins[1:]))
+        found = in_parts(sense, bounds, most)
+        if n > 1:
             for _, own in found:
-                watch.add(own, n_threads)
+                watch.add(own, n)
         images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
         return images, [here for here, _ in found]
 

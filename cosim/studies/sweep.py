@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
 from scipy.stats import t
 
+from cosim.base.threads import CORES
 from cosim.door.load import checksum
 from cosim.runs import check as checking
 from cosim.runs.cluster import connected, local
@@ -324,7 +324,7 @@ def sweep(
         report(0, len(n_points), task.n_finished, "")
         try:
             if n_points:
-                n_workers = workers or max(1, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+                n_workers = workers or CORES
                 seen_by_all = folder.path.resolve() / "study.toml"
                 with local(n_workers) if scheduler is None else connected(scheduler, seen_by_all) as client:
                     try:

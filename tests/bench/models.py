@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 from time import process_time
 from typing import Any
 
-import numba
-
+from cosim.base.threads import n_threads, use_threads
 from cosim.config.config import Config, load
 from cosim.messages.trust_hosts import HostState
 from cosim.runs import recording
@@ -61,8 +60,8 @@ def bench(names: Sequence[str] = tuple(MODELS)) -> Iterator[Row]:
     tables; not the city, the warm-up of the traffic, and the compilation. What variants add beside the methods are
     look-ups, fusion with each variant's trust, and rows of tables.
     """
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    threads = n_threads()
+    use_threads(1)
     for name, keys in RUNS.items():
         config = load(None, [*keys, "compute.threads=1", "trust_variant=[]", 'trust.model="trupercept"'])
         some = tuple(f'{{name = "{one}", model = "{one}"}}' for one in names if one != "trupercept")
@@ -78,7 +77,7 @@ def bench(names: Sequence[str] = tuple(MODELS)) -> Iterator[Row]:
         yield f"{name}: look-ups, fusion and rows of the variants, share of the rest", added_s / rest_s, ""
         for model, seconds in sorted(all_s.items(), key=lambda of: -of[1])[:5]:
             yield f"{name}: {model}, share of the rest", seconds / rest_s, ""
-    numba.set_num_threads(threads)
+    use_threads(threads)
 
 
 def _measured(config: Config) -> tuple[float, dict[str, float]]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time, thread_time
 
-import numba
 import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
@@ -16,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from cosim.addons.export.live import SUFFIXES, Live
 from cosim.attacks.params import shares
+from cosim.base.threads import n_threads, use_threads
 from cosim.config.config import Config, load
 from cosim.runs import recording
 from cosim.step.cycle import step
@@ -104,7 +104,7 @@ def bench(
     some = worlds[:: -max(1, (len(worlds) - 1) // _N_INSTANTS)]
     whole = float(np.mean([_neighbours(world, np.arange(len(world))) for world in some]))
     warm = False
-    threads = numba.get_num_threads()
+    threads = n_threads()
     sizes = [n for n in sorted(vehicles) if n < len(worlds[-1])]
     yield "actors of the whole traffic", len(worlds[-1]), ""
     yield f"neighbours within {_NEAR_M:g} m, of the whole traffic", whole, "actors"
@@ -116,9 +116,9 @@ def bench(
             # some kernels are first called after many steps
             warm = bool(list(_measured("", cropped, n_warm, parts, registry)))
         for n in sorted({1, threads, *(2**k for k in range(1, threads.bit_length()))}):
-            numba.set_num_threads(n)
+            use_threads(n)
             yield from _measured(f"{size} actors, {n} thread{'s' * (n > 1)}", cropped, n_warm, parts, registry)
-    numba.set_num_threads(threads)
+    use_threads(threads)
     yield "peak memory of this process", _peak_bytes() / 1e9, "GB"
 
 
@@ -162,12 +162,12 @@ def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registr
     yield f"{name}: wall time", 1e6 * wall_s / n_equipped, "µs per equipped vehicle and step"
     yield f"{name}: processor time, all vehicles", processor_s / simulated_s, "s per simulated second"
     serial = {stage: _serial_s(watch.wall_s[stage], of_all) for stage, of_all in watch.processor_s.items()}
-    if numba.get_num_threads() > 1:
+    if n_threads() > 1:
         yield f"{name}: serial, of the processor time", sum(serial.values()) / processor_s, ""
     for stage, seconds in sorted(watch.processor_s.items(), key=lambda item: -item[1]):
         yield f"{name}: {stage}, wall time", 1e3 * watch.wall_s[stage] / simulated_s, "ms per simulated second"
         yield f"{name}: {stage}, processor time", 1e6 * seconds / n_equipped, "µs per equipped vehicle and step"
-        if numba.get_num_threads() > 1:
+        if n_threads() > 1:
             yield f"{name}: {stage}, serial, of the processor time", serial[stage] / processor_s, ""
     for suffix, shown_s in shown.items():
         figure = 1e6 * shown_s * n / n_equipped
@@ -177,7 +177,7 @@ def _measured(name: str, worlds: list[World], n_warm: int, parts: Parts, registr
 
 def _serial_s(wall_s: float, processor_s: float) -> float:
     """Time of one thread alone, if the rest is divided evenly: wall = serial + (processor - serial) / threads."""
-    n = numba.get_num_threads()
+    n = n_threads()
     if n == 1:
         return wall_s
     serial_s = (n * wall_s - processor_s) / (n - 1)

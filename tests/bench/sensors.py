@@ -6,12 +6,12 @@ from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 
-import numba
 import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
+from cosim.base.threads import n_threads, use_threads
 from sensors.boxes import Boxes, overlapping_pairs
 from sensors.evidence import observability, plausible, points_in_boxes
 from sensors.false_positives import false_positives
@@ -74,12 +74,12 @@ def bench(
     """
     scene, boxes, shape = town() if world is None else world
     cars = np.flatnonzero(LABEL_OF_SHAPE[shape] == ObjectClass.CAR)[:n_observers]
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    threads = n_threads()
+    use_threads(1)
     try:
         return _measure(scene, boxes, shape, cars, runs)
     finally:
-        numba.set_num_threads(threads)
+        use_threads(threads)
 
 
 def _rays_alone(boxes, shape, observers, scene, tracer_of) -> Callable[[], object]:

@@ -9,6 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from cosim.base.threads import n_threads
 from tests.bench.scale import Row
 from tests.bench.scale import bench as grown
 
@@ -71,6 +72,6 @@ def _rows(name: str, figures: Iterable[Row]) -> list[dict[str, Any]]:
 def machine() -> str:
     """A description of this machine."""
     return (
-        f"{platform.machine()}, {os.cpu_count()} cores, {numba.get_num_threads()} threads, "
+        f"{platform.machine()}, {os.cpu_count()} cores, {n_threads()} threads, "
         f"Python {platform.python_version()}, NumPy {np.__version__}, Numba {numba.__version__}"
     )

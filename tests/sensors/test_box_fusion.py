@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 import pytest
 
+from cosim.base.threads import n_threads, use_threads
 from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
 from sensors.boxes import Boxes, iou_3d
 from tests.sensors.town import boxes_at
@@ -304,11 +304,11 @@ def test_headings_of_opposite_directions_and_at_the_branch_cut():
 
 def test_the_result_does_not_depend_on_threads():
     s, *_ = scene(6, n_vehicles=9, n_objects=30, n_receivers=8)
-    before, results = numba.get_num_threads(), []
+    before, results = n_threads(), []
     for n in (1, before):
-        numba.set_num_threads(n)
+        use_threads(n)
         results.append(s.fused())
-    numba.set_num_threads(before)
+    use_threads(before)
     np.testing.assert_array_equal(results[0].columns(), results[1].columns())
     np.testing.assert_array_equal(results[0].variance_m2, results[1].variance_m2)
 

@@ -3,10 +3,10 @@
 from collections import Counter
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 
+from cosim.base.threads import n_threads, use_threads
 from sensors.evidence import observability
 from sensors.false_positives import CELL_M, COLUMN_STEP, ROW_STEP, false_positives
 from sensors.scene import Hit, Scene
@@ -167,10 +167,10 @@ def test_shared_false_positives_of_two_passing_observers(shared, low, high):
 def test_invariance_to_order_other_observers_and_threads(street):
     sweeps, seen, draws = drawn(street, 6)
     whole = false_positives(sweeps, seen, draws, model(false_positive_per_sweep=3.0))
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    threads = n_threads()
+    use_threads(1)
     alone = false_positives(sweeps, seen, draws, model(false_positive_per_sweep=3.0))
-    numba.set_num_threads(threads)
+    use_threads(threads)
     assert (whole.boxes.xyz_m == alone.boxes.xyz_m).all() and (whole.score == alone.score).all()
     few = np.array([11, 4, 30, 2, 50, 41, 17, 60])
     poses = replace(sweeps.poses, origin_m=sweeps.poses.origin_m[few], yaw_rad=sweeps.poses.yaw_rad[few])

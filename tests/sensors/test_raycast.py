@@ -2,12 +2,12 @@
 
 import importlib.util
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.base.threads import n_threads, use_threads
 from sensors.boxes import Boxes
 from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
 from sensors.raycast.column import below, slopes_of
@@ -133,13 +133,13 @@ def test_inside_a_closed_body():
 def test_thread_count_invariance():
     rng = np.random.default_rng(5)
     (boxes, shape), scene = traffic(rng, 100), blocks(rng)
-    threads = numba.get_num_threads()
+    threads = n_threads()
     several = exact(boxes, shape, np.arange(40), scene)
-    numba.set_num_threads(1)
+    use_threads(1)
     try:
         one = exact(boxes, shape, np.arange(40), scene)
     finally:
-        numba.set_num_threads(threads)
+        use_threads(threads)
     assert (one.unrounded_m == several.unrounded_m).all() and (one.hit == several.hit).all()
 
 

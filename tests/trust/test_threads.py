@@ -1,10 +1,9 @@
 """Threads change the time, not the answer."""
 
-import numba
 import numpy as np
 import pytest
 
-from cosim.base.threads import threads_for
+from cosim.base.threads import CORES, n_threads, use_threads
 from tests.bench.trust import street
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -15,10 +14,10 @@ from trust.tables import FusionInput
 
 @pytest.fixture
 def threads():
-    """Sets the number of threads that Numba may use; what was is restored."""
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
+    """Sets the number of threads that work may use; what was is restored."""
+    before = n_threads()
+    yield use_threads
+    use_threads(before)
 
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])
@@ -26,7 +25,7 @@ def test_the_answer_is_the_same(threads, one_per_vehicle):
     params = TrustParams(one_per_vehicle=one_per_vehicle)
     table, pairs, lists, sender_trust = street(700)
     answers = []
-    for n in (1, numba.config.NUMBA_NUM_THREADS):
+    for n in (1, CORES):
         threads(n)
         groups = match(lists, table, pairs, params)
         m, g = lists.member.size, groups.seeds().size
@@ -42,12 +41,3 @@ def test_the_answer_is_the_same(threads, one_per_vehicle):
         answers.append((groups.seed, fused.score))
     for one, many in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, many)
-
-
-def test_little_work_takes_one_thread(threads):
-    threads(numba.config.NUMBA_NUM_THREADS)
-    with threads_for(10) as n:
-        assert n == numba.get_num_threads() == 1
-    with threads_for(1e9) as n:
-        assert n == numba.config.NUMBA_NUM_THREADS
-    assert numba.get_num_threads() == numba.config.NUMBA_NUM_THREADS

@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 
-import numba
-
 from cosim.addons.tryout.findings import Report
 from cosim.addons.tryout.laws import PARTS, try_part
 from cosim.addons.tryout.run_laws import try_exporter, try_metric
+from cosim.base.threads import n_threads, use_threads
 from cosim.door.kinds import KINDS
 from cosim.door.load import is_own, load_own
 
@@ -30,14 +29,14 @@ def try_class(name: str, kind: str | None = None, sets: Sequence[str] = ()) -> R
     """
     if kind is None:
         kind = load_own(name).kind.name if is_own(name) else _shipped(name)
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)  # two threads are slower with sixteen actors
+    threads = n_threads()
+    use_threads(1)  # two threads are slower with sixteen actors
     try:
         if kind in PARTS:
             return try_part(kind, name, sets)
         return (try_exporter if kind == "exporter" else try_metric)(name, sets)
     finally:
-        numba.set_num_threads(threads)
+        use_threads(threads)
 
 
 def _shipped(name: str) -> str:

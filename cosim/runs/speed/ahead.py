@@ -16,12 +16,11 @@ from functools import partial
 from types import TracebackType
 from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base.kernel import threads_may_meet
+from cosim.base.threads import n_threads, use_threads
 from cosim.radio.link_cache import LinkCache
 from cosim.radio.medium import LinksAhead
 from cosim.radio.message_round import Stations
@@ -73,12 +72,12 @@ class Ahead:
             Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
             has read its own range images.
         """
-        if not world.equipped.any() or not threads_may_meet():
+        if not world.equipped.any():
             return
         self._to_sense = world
-        if numba.get_num_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
+        if n_threads() > 1:  # for few vehicles this is mostly Python code, which delays the present step
             medium, links = self._parts.medium, None
-            self._thread.submit(numba.set_num_threads, numba.get_num_threads() // 2)  # the others are the step's
+            self._thread.submit(use_threads, n_threads() // 2)  # the others are the step's
             if isinstance(medium, LinksAhead):
                 links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
@@ -101,7 +100,7 @@ class Ahead:
         """Begin the sweeps of the expected world, if they have not begun."""
         if self._to_sense is not None:
             world, self._to_sense = self._to_sense, None
-            self._sensing = world, self._thread.submit(self._sense, world, numba.get_num_threads())
+            self._sensing = world, self._thread.submit(self._sense, world, n_threads())
 
     def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
         """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
@@ -116,8 +115,8 @@ class Ahead:
         above_roof_m = self._parts.config.radio.antenna_above_roof_m
         return stations_of(world, np.flatnonzero(world.equipped), self._parts.rsus, above_roof_m)
 
-    def _sense(self, world: World, n_threads: int) -> Observed:
-        numba.set_num_threads(n_threads)  # a setting of each thread
+    def _sense(self, world: World, n: int) -> Observed:
+        use_threads(n)
         return self._parts.perception(world, self._parts.sensing(world), self.watch)
 
     def _near_pairs(self, world: World) -> NearPairs:

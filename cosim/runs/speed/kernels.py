@@ -24,6 +24,7 @@ import numpy as np
 from numba.core import types
 
 import cosim.base.kernel  # noqa: F401  whose cache two processes may write
+from cosim.base.threads import CORES
 from cosim.runs import process
 from cosim.runs.source import code_digest
 
@@ -61,7 +62,7 @@ def compiling(n_threads: int, path: Path = LIST) -> Iterator[subprocess.Popen[by
     is the list of kernels.
     """
     child = None
-    if n_threads != 1 and numba.get_num_threads() > 1:
+    if n_threads != 1 and CORES > 1:
         with suppress(Exception):  # kernels are not cached, another run's process is at it, or the list is old
             child = _start(path)
     try:

@@ -2,21 +2,20 @@
 
 import time
 
-import numba
 import numpy as np
 import pytest
 
-from cosim.base.threads import in_ranges
+from cosim.base.threads import in_parts, in_ranges, n_threads, use_threads
 
 
 @pytest.fixture(params=[1, 2])
 def threads(request):
-    before = numba.get_num_threads()
+    before = n_threads()
     if request.param > before:
         pytest.skip("this machine has one core")
-    numba.set_num_threads(request.param)
+    use_threads(request.param)
     yield request.param
-    numba.set_num_threads(before)
+    use_threads(before)
 
 
 @pytest.mark.parametrize("pause_s", [0, 0.001])
@@ -41,3 +40,16 @@ def test_an_error_of_a_thread_is_raised(threads):
 
     with pytest.raises(ValueError, match="no"):
         in_ranges(work, 10)
+
+
+@pytest.mark.parametrize("most", [1, 2])
+def test_what_parts_return_is_in_their_order(threads, most):
+    """Each of several threads lets its work use one."""
+
+    def work(begin, end):
+        time.sleep(0.001 * (9 - end))
+        return begin, end, n_threads()
+
+    per_thread = 1 if min(threads, most) > 1 else threads
+    assert in_parts(work, [0, 3, 3, 9], most) == [(0, 3, per_thread), (3, 3, per_thread), (3, 9, per_thread)]
+    assert n_threads() == threads

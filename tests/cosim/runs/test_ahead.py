@@ -1,9 +1,9 @@
 """What is computed ahead of its step is what the step would have computed itself."""
 
-import numba
 import pytest
 
 from cosim.addons.compare.scenarios import ScriptedScene
+from cosim.base.threads import CORES, n_threads, use_threads
 from cosim.runs.speed.ahead import Ahead
 from cosim.step.cycle import step
 from cosim.step.state import State
@@ -31,10 +31,10 @@ def test_a_run_with_one_thread_has_the_same_tables(tmp_path, setting):
 @pytest.fixture
 def threads(request):
     """So many threads of kernels, or as many as there are, while a test runs."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(request.param, numba.config.NUMBA_NUM_THREADS))
-    yield numba.get_num_threads()
-    numba.set_num_threads(before)
+    before = n_threads()
+    use_threads(min(request.param, CORES))
+    yield n_threads()
+    use_threads(before)
 
 
 @pytest.mark.parametrize("expected", [1, 2, None])
@@ -61,7 +61,7 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
     assert ("links" in ahead.watch.seconds) == shares == ("pairs" in ahead.watch.seconds)
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="this process may use one core")
+@pytest.mark.skipif(CORES < 2, reason="this process may use one core")
 @pytest.mark.parametrize("threads", [2], indirect=True)
 def test_what_is_expected_before_the_present_step_has_asked_is_found_once(threads):
     """A run expects the next world first, and then asks for the pairs of the present one."""

@@ -9,6 +9,7 @@ import pytest
 from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.radio.medium import MEDIA
 from cosim.runs.checkpoint import decode, encode
+from cosim.step import comparing
 from cosim.step.cycle import step
 from cosim.step.state import State
 from tests.scene import assert_same, parts_of
@@ -73,6 +74,14 @@ def test_a_copy_shares_nothing(midway):
     before = pickle.dumps(state)
     onwards(scene, parts, state.copy())
     assert pickle.dumps(state) == before
+
+
+def test_vehicles_may_be_compared_in_parts(midway, monkeypatch):
+    """Some parts have a vehicle, and some have none."""
+    scene, parts, state = midway
+    at_once = onwards(scene, parts, state.copy())
+    monkeypatch.setattr(comparing, "_PART", 1)
+    assert_same(onwards(scene, parts, state.copy()), at_once)
 
 
 def test_asking_changes_nothing(midway):
