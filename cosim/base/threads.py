@@ -2,9 +2,9 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from time import perf_counter
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -68,13 +68,32 @@ def in_parts(
         Most threads, if this one may use more.
     """
     begins, ends = bounds[:-1], bounds[1:]
-    n = min(n_threads(), most, len(begins))
+    before = n_threads()
+    n = min(before, most, len(begins))
     if n < 2:
         return list(map(work, begins, ends))
+    found: list[Any] = [None] * len(begins)
+    left = iter(range(len(begins)))
 
-    def alone(begin: int, end: int) -> _Result:
+    def take_turns() -> None:
         use_threads(1)
-        return work(begin, end)
+        for part in left:  # each part is given to one thread
+            found[part] = work(begins[part], ends[part])
 
-    with ThreadPoolExecutor(n) as threads:
-        return list(threads.map(alone, begins, ends))
+    others = [_helpers().submit(take_turns) for _ in range(n - 1)]
+    try:
+        take_turns()
+    finally:
+        use_threads(before)
+        wait(others)
+    for other in others:
+        other.result()  # raises what went wrong there
+    return found
+
+
+def _helpers() -> ThreadPoolExecutor:
+    """The threads that help this one. They wait for its next work, because to begin a thread takes 50 µs."""
+    if not hasattr(_of_this_thread, "helpers"):
+        _of_this_thread.helpers = ThreadPoolExecutor(CORES)
+    found: ThreadPoolExecutor = _of_this_thread.helpers
+    return found
