@@ -119,14 +119,15 @@ def _check_study(
     path: Path, preset: str | None, overrides: list[str], everything: bool, trust_code: bool, as_json: bool
 ) -> None:
     from cosim.runs import check as checking
-    from cosim.studies import sweep as sweeping
+    from cosim.studies.remarks import keys_in_vain, scene_notes
     from cosim.studies.study import changed, load
+    from cosim.studies.sweep import unbegun
 
     study = changed(load(path, trust_code), with_preset(preset, overrides))
-    task = sweeping.unbegun(study, path.name)
+    task = unbegun(study, path.name)
     for config in {p.config.traffic: p.config for p in task.points}.values():
         checking.check(config)
-    for note in sweeping.keys_in_vain(task.points) + sweeping.scene_notes(task.points):
+    for note in keys_in_vain(task.points) + scene_notes(task.points):
         notes.print(note, soft_wrap=True)
     if everything:
         screen.print(study.to_toml(), soft_wrap=True)

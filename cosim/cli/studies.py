@@ -57,6 +57,7 @@ def sweep(
     as_json: AsJson = False,
 ) -> None:
     """Make all runs of a study. After an interruption, the same command continues."""
+    from cosim.studies import remarks
     from cosim.studies import sweep as sweeping
     from cosim.studies.study import changed, load
 
@@ -64,12 +65,12 @@ def sweep(
     asked = changed(load(study, trust_code), with_preset(preset, overrides))
     out = out or Path("runs", study.stem)
     task = sweeping.prepare_study(asked, study.name, out, not separate)
-    of_points = (sweeping.keys_in_vain, sweeping.scene_notes, sweeping.fleet_notes)
-    said = [note for notes_on in of_points for note in notes_on(task.points)]
+    said: list[str] = []
+    for notes_on in (remarks.keys_in_vain, remarks.scene_notes, remarks.fleet_notes):
+        said += notes_on(task.points)
     if study.parent != out:  # there it is the copy of what is asked for
-        said += sweeping.name_notes(study, asked)
-    said += sweeping.measuring_notes(task)
-    for note in said + sweeping.interval_notes(task.study):
+        said += remarks.name_notes(study, asked)
+    for note in said + sweeping.measuring_notes(task) + remarks.interval_notes(asked):
         notes.print(note, soft_wrap=True)
     if dry_run:
         print_done(plan_facts(task, workers), "\n".join(plan_lines(task, workers)), as_json)
@@ -105,7 +106,7 @@ def status(
     from cosim.studies import sweep as sweeping
     from cosim.studies.folder import StudyFolder
 
-    study, _, states, failed = sweeping.status(StudyFolder(folder), trust_code)
+    study, states, failed = sweeping.status(StudyFolder(folder), trust_code)
     _print_states(study.head.name, folder, states, failed, as_json)
     if not as_json:
         is_done = states["finished"] == sum(states.values())

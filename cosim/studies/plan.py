@@ -13,7 +13,8 @@ from cosim.base.codes import BASE_VARIANT
 from cosim.config.config import Config, resolve_data
 from cosim.messages.trust_hosts import host_key
 from cosim.step.parts import variants
-from cosim.studies.points import Point, identity, scenario_of, shared_identity, traffic_identity
+from cosim.studies.density import scenario_of
+from cosim.studies.points import Point, identity, shared_identity, traffic_identity
 from trust.params import evidence_values
 
 MOST_VARIANTS = 60

@@ -11,7 +11,7 @@ from cosim.config.config import Config
 from cosim.runs.inputs import mesh_checksums
 from cosim.runs.source import code_digest
 from cosim.step.parts import sources
-from cosim.studies.density import scenario_of as scenario_of
+from cosim.studies.density import scenario_of
 from cosim.studies.study import Keys, Study, config_at
 
 HOW = ("compute", "record")

@@ -103,7 +103,7 @@ FUNCTIONS = {
     "cosim.addons.export.view.view": lambda f, at: f(open_run(at["run"]), at["out"] / "api.rrd"),
     "cosim.studies.folder.status_of": lambda f, at: f(at["run"]),
     "cosim.studies.study.load": None,  # of a file that the user names; `status` and `prepare` name those of folders
-    "cosim.studies.sweep.name_notes": None,  # of a file that the user names, which has been loaded
+    "cosim.studies.remarks.name_notes": None,  # of a file that the user names, which has been loaded
     "cosim.studies.sweep.prepare": lambda f, at: f(at["study"] / "study.toml", at["study"]),
     "cosim.studies.sweep.status": lambda f, at: f(StudyFolder(at["study"])),
 }

@@ -13,8 +13,9 @@ from cosim.config import preset
 from cosim.studies import points as study_points
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of, traffic_identity
+from cosim.studies.remarks import fleet_notes, name_notes, scene_notes
 from cosim.studies.study import SHIPPED, load
-from cosim.studies.sweep import fleet_notes, name_notes, prepare, scene_notes
+from cosim.studies.sweep import prepare
 from tests.cosim.traffic import crossing
 from tests.refusals import refused_in_one_line
 from tests.results.test_study_pages import study_of
