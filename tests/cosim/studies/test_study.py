@@ -11,6 +11,7 @@ import pytest
 from cosim.cli import studies as commands
 from cosim.config import preset
 from cosim.studies import points as study_points
+from cosim.studies.folder import Attempt, StudyFolder
 from cosim.studies.plan import plan
 from cosim.studies.points import identity, points_of, traffic_identity
 from cosim.studies.remarks import fleet_notes, name_notes, scene_notes
@@ -204,6 +205,19 @@ def test_folder_of_another_study_is_left_alone(tmp_path):
     third = prepare(write(tmp_path, text), tmp_path / "mine")
     with pytest.raises(ValueError, match="holds no study"):
         third.folder.prepare(third.study)
+
+
+def test_the_time_of_a_study_is_that_of_its_typical_run_however_many_points_it_has(tmp_path):
+    """One run of three points took 100 s, one of a single point 10 s: 55 s a run, not 100 s."""
+    text = HEAD + "[grid]\nradio.range_m = [100, 200]\n"
+    folder = StudyFolder(tmp_path / "out")
+    for id, n_members, cpu_s in (("a", 3, 100.0), ("b", 1, 10.0)):
+        folder.job(id).mkdir(parents=True)
+        members = {f"{id} {i}": f"variant {i}" for i in range(n_members)}
+        (folder.job(id) / "job.json").write_text(json.dumps({"members": members}))
+        folder.add_attempt(id, Attempt("ok", cpu_s, 1, cpu_s=cpu_s))
+    task = prepare(write(tmp_path, text), folder.path)
+    assert task.estimate.planned_s == pytest.approx(55 * len(task.plan.runs))
 
 
 def test_study_file_of_a_folder_gives_the_same_points(tmp_path):
