@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import shlex
 import sys
 import textwrap
 import unicodedata
@@ -25,7 +24,6 @@ from cosim.cli.help import MORE
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from results.run import Run
 
 _PIPED_WIDTH = 160
 """Width of tables, in characters, when standard output is not a terminal."""
@@ -59,11 +57,11 @@ class _CleanConsole(Console):
             yield segment if segment.control else Segment(clean(segment.text), segment.style)
 
 
-screen = _CleanConsole(  # without markup, so that names from the user are shown unchanged
-    markup=False, highlight=False, emoji=False,
-    width=None if (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ else _PIPED_WIDTH,
-)  # fmt: skip
-notes = _CleanConsole(stderr=True, markup=False, highlight=False, emoji=False)
+_is_piped = (sys.stdout is None or not sys.stdout.isatty()) and "COLUMNS" not in os.environ
+_PLAIN: dict[str, Any] = {"markup": False, "highlight": False, "emoji": False}
+"""Names from the user are shown unchanged."""
+screen = _CleanConsole(width=_PIPED_WIDTH if _is_piped else None, **_PLAIN)
+notes = _CleanConsole(stderr=True, **_PLAIN)
 
 ConfigPath = Annotated[
     Path | None, typer.Argument(help="Config file (TOML). Without one, the default city is used.", show_default=False)
@@ -87,20 +85,6 @@ TrustCode = Annotated[
     ),
 ]
 
-Get = Callable[[str], Mapping[str, float]]
-"""Values of a metric by group; empty if the metric has no value."""
-GetRows = Callable[[str], Mapping[str, Mapping[str, Any]]]
-"""Rows of `measure` of a metric by group: value, low, high, note."""
-
-SUMMARY_METRICS = (
-    "traffic.duration_s", "traffic.actors.mean", "traffic.equipped.n", "encounters.n",
-    "encounters.duration.km_median_s", "encounters.duration.km_mean_s", "trust.final.median",
-    "misbehaviour.at_lookup.auc", "misbehaviour.auc", "freshness.lookup_state.share",
-    "freshness.newest_evaluation_age.mean_s", "freshness.newest_evaluation_age.p90_s", "radio.pdr.all",
-    "radio.lost.expired", "radio.clouds_complete.share", "radio.cbr.mean", "radio.pir.mean_s",
-)  # fmt: skip
-"""Metrics that the summary at the end of a run uses."""
-
 
 def with_preset(preset: str | None, overrides: list[str] | None) -> list[str]:
     """Changes of a config, with the preset as the first of them."""
@@ -110,10 +94,12 @@ def with_preset(preset: str | None, overrides: list[str] | None) -> list[str]:
 def duration(seconds: float) -> str:
     """A rough duration in words."""
     if seconds < 90:
-        return f"{max(1, round(seconds, -1) if seconds >= 20 else round(seconds)):.0f} s"
+        rounded = round(seconds, -1) if seconds >= 20 else max(1, round(seconds))
+        return f"{rounded:.0f} s"
     if seconds < 5400:
         return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 36000 else f"{seconds / 3600:.0f} h"
+    hours = seconds / 3600
+    return f"{hours:.1f} h" if hours < 10 else f"{hours:.0f} h"
 
 
 @contextmanager
@@ -180,53 +166,6 @@ def print_json(content: object) -> None:
     sys.stdout.write(text + "\n")
 
 
-def print_run_summary(folder: Path, as_json: bool) -> "Run":
-    """Print a summary of a run in a few lines, and draw trust over time into its folder.
-
-    Returns
-    -------
-    The run. Its attribute `damage` lists what could not be shown.
-    """
-    from results.archive import open_run
-    from results.figures import style, trust
-    from results.measure import measure
-
-    run = open_run(folder)
-    try:
-        picture = f"picture {style.save(trust.draw([run]), folder / 'trust.png')}"
-    except ValueError:  # there is no trust to draw
-        picture = "no picture of trust"
-    manifest = run.manifest
-    spent_s = sum(manifest["timings_s"].values())
-    if as_json:
-        measures = rows_of(measure(run, max_frames=200))
-        print_json({"run": str(folder), "summary": manifest["summary"], "seconds": spent_s, "measures": measures})
-        return run
-    topics = tuple(dict.fromkeys(name.split(".")[0] for name in SUMMARY_METRICS))
-    frame = measure(run, topics=topics)
-    by_metric: dict[str, dict[str, Any]] = {}
-    for row in frame.to_dict("records"):
-        by_metric.setdefault(row["metric"], {})[row["group"]] = row
-
-    def rows(metric: str) -> Mapping[str, Mapping[str, Any]]:
-        assert metric in SUMMARY_METRICS, metric
-        return by_metric.get(metric, {})
-
-    resumed_at = manifest.get("resumed_at", [])
-    n_steps = manifest["steps"] - (resumed_at[-1] if resumed_at else 0)
-    speed = plain(n_steps * run.dt_s / spent_s)
-    since = f" since step {resumed_at[-1]:,}, where it was resumed" if resumed_at else ""
-    given = shlex.quote(str(folder))
-    print_facts(
-        _summary(rows, manifest.get("net", {}).get("name", "the network"), run.config["sensing"])
-        | {
-            "time": [f"{spent_s:.1f} s of computing{since}, {speed} times real time; wrote {folder}, {picture}"],
-            "next": [f"cosim report {given}   cosim measure {given}" + _pictures(rows, given)],
-        }
-    )
-    return run
-
-
 def print_table(table: "Table") -> None:
     """A table with names from the user, which are not cut where standard output is no terminal."""
     if screen.is_terminal:
@@ -250,123 +189,6 @@ def print_facts(facts: Mapping[str, Sequence[str]]) -> None:
             for line in lines:
                 screen.print(Text.assemble((f"{label:<12}", "bold"), line), soft_wrap=True)
                 label = ""
-
-
-def _pictures(rows: GetRows, given: str) -> str:
-    """A command that draws a figure of this run; empty if the run has nothing to draw."""
-    for picture, metric in (("radio", "radio.pdr.all"), ("encounters", "encounters.n")):
-        if rows(metric):
-            return f"   cosim plot {picture} {given}"
-    return ""
-
-
-def _summary(rows: GetRows, city: str, has_sensing: bool = True) -> dict[str, list[str]]:
-    """Sentences of the summary by topic."""
-
-    def get(metric: str) -> Mapping[str, float]:
-        return {group: row["value"] for group, row in rows(metric).items()}
-
-    apart = _told_apart(rows)
-    moved = {"traffic": _traffic(get, city), "encounters": _encounters(get, rows)}
-    if not has_sensing:
-        return moved | {"sensing": ["false: no vehicle senses or sends, and no trust is computed"]}
-    return moved | {
-        "trust": _trust(rows),
-        **({"told apart": apart} if apart else {}),
-        "freshness": _freshness(get),
-        "radio": _radio(get),
-    }
-
-
-def _traffic(get: Get, city: str) -> list[str]:
-    actors, roles = get("traffic.actors.mean"), get("traffic.equipped.n")
-    n_actors = plain(round(actors.get("all", 0.0)))
-    line = f"{n_actors} actors on the road of {city} for {plain(get('traffic.duration_s')[''])} s"
-    n_equipped = sum(roles.values())
-    if not n_equipped:
-        return [f"{line}; no vehicle with LiDAR and radio"]
-    by_role = [f"{plain(n)} {role}" for role, n in roles.items()]
-    return [f"{line}; {plain(n_equipped)} vehicles with LiDAR and radio ({', '.join(by_role)})"]
-
-
-def _encounters(get: Get, rows: GetRows) -> list[str]:
-    median_s, mean_s = get("encounters.duration.km_median_s"), rows("encounters.duration.km_mean_s")
-    lines = []
-    for definition, n in get("encounters.n").items():
-        said = f"{plain(n)} ({definition})"
-        if definition in median_s:
-            said += f": half of them last longer than {plain(median_s[definition])} s"
-        elif definition in mean_s and mean_s[definition]["note"]:
-            said += f": {mean_s[definition]['note']}"
-        lines.append(said)
-    return lines or ["none: the config defines no [[encounters]]"]
-
-
-def _trust(rows: GetRows) -> list[str]:
-    final = rows("trust.final.median")
-    if not final:
-        return ["no trust was computed"]
-    medians = [f"{row['value']:.2f} {role}" for role, row in final.items()]
-    return [f"{', '.join(medians)}: medians of last values, from 0 to 1"]
-
-
-def _told_apart(rows: GetRows) -> list[str]:
-    """How often an honest vehicle has more trust than one of another role, in one line."""
-    at_lookup = rows("misbehaviour.at_lookup.auc")
-    found = at_lookup or rows("misbehaviour.auc")
-    parts: list[str] = []
-    for role, row in found.items():
-        parts.append(_comparison(role, row, is_first=not parts))
-    if parts:
-        parts[-1] += ", when trust is looked up" if at_lookup else ", over the run"
-    idle = [role for role, row in rows("trust.final.median").items() if row["note"].startswith("has not attacked")]
-    if idle:
-        parts.append(f"no {' or '.join(idle)} vehicle has attacked: until then they behave as honest ones")
-    return ["; ".join(parts)] if parts else []
-
-
-def _a(word: str) -> str:
-    """A role with its article: an honest vehicle, a malicious one."""
-    return f"{'an' if word.startswith(('a', 'e', 'i', 'o', 'u', 'honest')) else 'a'} {word}"
-
-
-def _comparison(role: str, row: Mapping[str, Any], is_first: bool) -> str:
-    """The area under the ROC curve in words. If its interval contains 0.5, it is no better than chance."""
-    low, high = row["low"], row["high"]
-    known = low == low and high == high
-    chance = ": no better than chance" if known and low <= 0.5 <= high else ""
-    interval = f" ({'95 % interval ' if is_first else ''}{low:.0%} to {high:.0%}{chance})" if known else ""
-    who = "an honest vehicle has more trust than " if is_first else "than "
-    return f"{row['value']:.0%} of the time {who}{_a(role)} one{interval}"
-
-
-def _freshness(get: Get) -> list[str]:
-    state = {name.removesuffix(", all"): x for name, x in get("freshness.lookup_state.share").items()}
-    if not state:
-        return ["no vehicle looked up a trust value"]
-    mean_s, p90_s = (get(f"freshness.newest_evaluation_age.{name}").get("all") for name in ("mean_s", "p90_s"))
-    parts = []
-    if mean_s is not None:
-        tail = "" if p90_s is None else f", and one in ten is older than {p90_s:.1f} s"
-        parts.append(f"{mean_s:.1f} s old is the newest evaluation behind a trust value that is used{tail}")
-    parts.append(f"{state['evaluated']:.0%} of lookups find a value that rests on evaluations that still count")
-    return ["; ".join(parts)]
-
-
-def _radio(get: Get) -> list[str]:
-    if "" not in get("radio.pdr.all"):
-        return ["nothing was sent within range of another vehicle"]
-    parts = [f"{get('radio.pdr.all')['']:.0%} of frames received by vehicles in range"]
-    expired = get("radio.lost.expired").get("", 0.0)
-    if expired > 0.01:
-        parts.append(f"{expired:.0%} expired before they could be sent")
-    if "" in get("radio.clouds_complete.share"):
-        parts.append(f"{get('radio.clouds_complete.share')['']:.0%} of point clouds arrive whole")
-    if "" in get("radio.cbr.mean"):
-        parts.append(f"{get('radio.cbr.mean')['']:.1%} of the time the channel is busy")
-    if "" in get("radio.pir.mean_s"):
-        parts.append(f"{get('radio.pir.mean_s')['']:.1f} s between messages of a pair")
-    return ["; ".join(parts)]
 
 
 def print_metrics(as_json: bool) -> None:

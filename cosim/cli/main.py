@@ -30,7 +30,6 @@ from cosim.cli.console import (
     notes,
     print_json,
     print_metrics,
-    print_run_summary,
     progress,
     screen,
     with_preset,
@@ -235,6 +234,7 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
 
 
 def _conclude(folder: Path, as_json: bool) -> None:
+    from cosim.cli.summary import print_run_summary
     from cosim.runs.run import remarks
     from cosim.runs.speed.allocator import give_back_freed_memory
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from cosim import __version__
-from cosim.cli.console import SUMMARY_METRICS
 from tests.drive import SHORT, assert_refused, cosim
 from tests.processes import set_words
 from tests.slow import slow
@@ -85,7 +84,7 @@ def test_measure_of_named_metrics(run, measured):
 def test_metrics_are_explained():
     text = cosim("measure", "--explain").stdout
     assert "misbehaviour.time_to_detection.median_s [s]: Time from the first step in which a subject is watched" in text
-    assert set(SUMMARY_METRICS) <= set(json.loads(cosim("measure", "--explain", "--json").stdout))
+    assert "misbehaviour.time_to_detection.median_s" in json.loads(cosim("measure", "--explain", "--json").stdout)
 
 
 @pytest.mark.parametrize("what", [slow("encounters"), "radio"])

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from cosim.cli import console
-from cosim.cli.console import _summary
 from cosim.cli.side_by_side import remarks
+from cosim.cli.summary import _summary, print_run_summary
 from cosim.config.config import load
 from cosim.runs.run import run
 from results.archive import open_run
@@ -51,7 +50,7 @@ METRICS = {
 
 
 def test_every_topic_is_a_line_that_begins_with_a_number():
-    said = _summary(rows_of(METRICS), "helsinki")
+    said = _summary(rows_of(METRICS), "helsinki", has_sensing=True)
     assert said == {
         "traffic": [
             "335 actors on the road of helsinki for 300 s; 116 vehicles with LiDAR and radio (101 honest, 15 malicious)"
@@ -102,7 +101,7 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
     ],
 )
 def test_what_is_missing_is_said(changes, topic, says):
-    (line,) = _summary(rows_of(METRICS | changes), "helsinki")[topic][:1]
+    (line,) = _summary(rows_of(METRICS | changes), "helsinki", has_sensing=True)[topic][:1]
     assert says in line
 
 
@@ -110,7 +109,7 @@ def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
     """In the summary, in all that is not measured, and in place of figures."""
     keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "sensing=false", "fleet.penetration_p=1"]
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
-    console.print_run_summary(folder, as_json=False)
+    print_run_summary(folder, as_json=False)
     lines = capsys.readouterr().out.splitlines()
     topics = [line.split()[0] for line in lines]
     assert topics[:3] == ["traffic", "encounters", "sensing"] and not {"trust", "radio", "freshness"} & set(topics)
@@ -140,7 +139,7 @@ def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_
 def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):
     keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "encounters=[]"]
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
-    console.print_run_summary(folder, as_json=False)
+    print_run_summary(folder, as_json=False)
     assert "none: the config defines no [[encounters]]" in capsys.readouterr().out
 
 
