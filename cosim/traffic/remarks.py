@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import scipy
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.traffic.georeference import FAR_M
@@ -15,6 +15,17 @@ from sensors.scene import Shape
 
 STANDING_MPS = 0.1
 """A vehicle below this speed counts as standing, as in SUMO."""
+JUMP_M = 5.0
+"""Vehicles jump if they move this much farther between two steps than at the larger of their two speeds [m]."""
+INSIDE_M = 1.0
+"""Vehicles overlap if one reaches farther than this into the other [m]."""
+_APART_M = 8.0
+"""Vehicles whose centres are farther apart do not count as overlapping [m]."""
+FEWEST = 5
+"""Fewer vehicles that no road can have, summed over the steps, get no note."""
+_MANY, _FILLING_P = 20, 0.25
+"""Streets were filling if at least so many vehicles were there on the mean, and a smaller share of them at first."""
+
 MOST_STANDING_P = 0.5
 """If the share of standing vehicles is larger, the run gets a note."""
 MOST_STANDING = 10.0
@@ -22,27 +33,16 @@ MOST_STANDING = 10.0
 MOST_WAITING_P = 0.1
 """If the vehicles that wait to enter are more than this share of those on the road, and more than ten, the run gets a
 note."""
-
-_NAMED = 5
-"""Types that a note names."""
 MOST_AT_ONE_POINT_P = 0.01
 """If the share of vehicles at the exact position of another one is larger, the run gets a note."""
 MOST_OVERLAPPING_P = 0.002
 """If the share of vehicles inside another one is larger, the run gets a note. SUMO's junctions reach a third of it."""
 MOST_JUMPING_P = 0.001
 """If the share of vehicles that move farther than their speed allows is larger, the run gets a note."""
-JUMP_M = 5.0
-"""Vehicles jump if they move this much farther between two steps than at the larger of their two speeds [m]."""
-FEWEST = 5
-"""Fewer such vehicles, summed over the steps, get no note."""
-INSIDE_M = 1.0
-"""Vehicles overlap if one reaches farther than this into the other [m]."""
-_APART_M = 8.0
-"""Vehicles whose centres are farther apart do not count as overlapping [m]."""
-
-
-_MANY, _FILLING_P = 20, 0.25
-"""Streets were filling if at least so many vehicles were there on the mean, and a smaller share of them at first."""
+MOST_AT_BEGIN_P = 0.2
+"""A trace does not begin on empty streets if it begins with more than this share of the mean number of actors."""
+_NAMED = 5
+"""Types that a note names."""
 
 
 @dataclass(slots=True)
@@ -52,8 +52,8 @@ class FlowCounts:
     Pedestrians do not count.
     """
 
-    dt_s: float = 0.0
-    """Length of a step. Jumps are not counted if it is 0."""
+    dt_s: float
+    """Length of a step."""
     n_steps: int = 0
     n_vehicles: int = 0
     n_first: int = 0
@@ -68,27 +68,26 @@ class FlowCounts:
     """Vehicles that have moved farther since the step before than their speed allows."""
     _before: World | None = None
 
-    def add(self, world: World) -> World:
-        """Count the vehicles of a step, and return its world."""
-        vehicle = world.shape != Shape.PEDESTRIAN
-        n_vehicles = int(np.count_nonzero(vehicle))
+    def add(self, world: World) -> None:
+        """Count the vehicles of a step."""
+        is_vehicle = world.shape != Shape.PEDESTRIAN
+        n_vehicles = int(np.count_nonzero(is_vehicle))
         if not self.n_steps:
             self.n_first = n_vehicles
         self.n_steps += 1
         self.n_vehicles += n_vehicles
-        self.n_pedestrians += int(np.count_nonzero(~vehicle))
-        self.n_standing += int(np.count_nonzero(vehicle & (world.speed_mps < STANDING_MPS)))
-        if self._before is not None and self.dt_s:
+        self.n_pedestrians += int(np.count_nonzero(~is_vehicle))
+        self.n_standing += int(np.count_nonzero(is_vehicle & (world.speed_mps < STANDING_MPS)))
+        if self._before is not None:
             self.n_jumping += len(jumping(self._before, world, self.dt_s))
         self._before = world
-        boxes = world.boxes.take(vehicle)
+        boxes = world.boxes.take(is_vehicle)
         east_m = np.sort(boxes.xyz_m[:, 0])
         if (east_m[1:] == east_m[:-1]).any():  # otherwise no two are at one point
             _, row, n = np.unique(boxes.xyz_m, axis=0, return_index=True, return_counts=True)
             self.n_at_one_point += int(n[n > 1].sum())
             boxes = boxes.take(row)
         self.n_overlapping += len(overlapping(boxes))
-        return world
 
     def report(self) -> dict[str, Any]:
         """Shares of vehicles over all steps, or that only pedestrians were on the road."""
@@ -121,49 +120,61 @@ def jumping(before: World, now: World, dt_s: float) -> Int[ndarray, "n"]:
 
 
 def overlapping(boxes: Boxes) -> Int[ndarray, "n"]:
-    """Rows of the boxes that reach farther than `INSIDE_M` into another one."""
-    if len(boxes) < 2:
-        return np.zeros(0, np.int64)
-    tree = scipy.spatial.cKDTree(boxes.xyz_m[:, :2])
-    a, b = tree.query_pairs(_APART_M, output_type="ndarray").T
-    between = boxes.xyz_m[b, :2] - boxes.xyz_m[a, :2]
-    radius_m = boxes.circumradius_m
-    near = np.hypot(*between.T) <= radius_m[a] + radius_m[b]
-    if not near.any():
-        return np.zeros(0, np.int64)
-    a, b, between = a[near], b[near], between[near]
-    z_m, height_m = boxes.xyz_m[:, 2], boxes.lwh_m[:, 2]
+    """Rows of the boxes that reach farther than `INSIDE_M` into another one.
+
+    Two boxes are apart if they are so along the vertical, or along an axis of one of them (separating axes).
+    """
+    xy_m, z_m = boxes.xyz_m[:, :2], boxes.xyz_m[:, 2]
+    height_m, radius_m = boxes.lwh_m[:, 2], boxes.circumradius_m
+    a, b = scipy.spatial.cKDTree(xy_m).query_pairs(_APART_M, output_type="ndarray").T
+    distance_m = np.hypot(*(xy_m[b] - xy_m[a]).T)
+    is_near = distance_m <= radius_m[a] + radius_m[b]
+    a, b = a[is_near], b[is_near]
+    between_m = xy_m[b] - xy_m[a]
     above_m = np.abs(z_m[a] - z_m[b])
-    together_m = height_m[a] + height_m[b]
-    apart = above_m > together_m / 2 - INSIDE_M / 2
-    yaw_a, yaw_b = boxes.yaw_rad[a], boxes.yaw_rad[b]
-    half_l, half_w, _ = boxes.lwh_m.T / 2
-    quarter_rad = np.pi / 2
-    for axis_rad in (yaw_a, yaw_a + quarter_rad, yaw_b, yaw_b + quarter_rad):
-        axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
-        reach = np.zeros(len(a))
-        for row, yaw_rad in ((a, yaw_a), (b, yaw_b)):
-            turn = yaw_rad - axis_rad
-            along = np.abs(np.cos(turn))
-            across = np.abs(np.sin(turn))
-            reach += half_l[row] * along + half_w[row] * across
-        apart |= np.abs((between * axis).sum(axis=1)) > reach - INSIDE_M
-    return np.unique(np.concatenate([a[~apart], b[~apart]]))
+    heights_m = height_m[a] + height_m[b]
+    is_apart = above_m > heights_m / 2 - INSIDE_M / 2
+    for of_axis in (a, b):
+        for turn_rad in (0.0, np.pi / 2):
+            axis_rad = boxes.yaw_rad[of_axis] + turn_rad
+            axis = np.column_stack([np.cos(axis_rad), np.sin(axis_rad)])
+            apart_m = np.abs((between_m * axis).sum(axis=1))
+            reach_m = _reach_m(boxes.take(a), axis_rad) + _reach_m(boxes.take(b), axis_rad)
+            is_apart |= apart_m > reach_m - INSIDE_M
+    return np.unique(np.concatenate([a[~is_apart], b[~is_apart]]))
 
 
-MOST_AT_BEGIN_P = 0.2
-"""A trace does not begin on empty streets if it begins with more than this share of the mean number of actors."""
+def _reach_m(boxes: Boxes, axis_rad: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
+    """How far each box reaches from its centre along an axis."""
+    half_length_m, half_width_m, _ = boxes.lwh_m.T / 2
+    turn_rad = boxes.yaw_rad - axis_rad
+    along = np.abs(np.cos(turn_rad))
+    across = np.abs(np.sin(turn_rad))
+    return half_length_m * along + half_width_m * across
 
 
 def traffic_remarks(summary: dict[str, Any]) -> list[str]:
     """Notes about the traffic of a finished run, from the summary in its manifest. Each note is one line."""
+    found = _begin_remarks(summary) + trace_remarks(summary) + _flow_remarks(summary)
+    if changed := summary.get("inputs_changed"):
+        found.append(
+            f"note: changed since the replayed run was recorded: {', '.join(changed)}. "
+            "Buildings and streets may differ from that run's."
+        )
+    found += [f"note: SUMO continued after this error: {error}" for error in summary.get("sumo_errors", [])]
+    return found
+
+
+def _begin_remarks(summary: dict[str, Any]) -> list[str]:
+    """Notes about who is on the road when recording begins, and about runs in which nobody comes."""
     found = []
     if "ended_early" in summary:
         found.append(f"note: {summary['ended_early']}.")
     if (first_s := summary.get("first_departure_s")) is not None:
+        begin_s = max(0.0, first_s - summary.get("warmup_s", 0.0))
         found.append(
             f"note: no vehicle was on the road: the first of the scenario departs at {first_s:g} s. "
-            f"Set traffic.begin_s = {max(0.0, first_s - summary.get('warmup_s', 0.0)):g}."
+            f"Set traffic.begin_s = {begin_s:g}."
         )
     if summary.get("pedestrians_only"):
         found.append("note: only pedestrians were on the road, and no vehicle.")
@@ -181,8 +192,13 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
             f"{on_road:.0f} on the mean: the streets were still filling. "
             "Set traffic.warmup_s to the time that this takes, such as 600."
         )
-    found += trace_remarks(summary)
-    waiting = summary.get("vehicles_waiting_to_enter_at_end", 0)
+    return found
+
+
+def _flow_remarks(summary: dict[str, Any]) -> list[str]:
+    """Notes about jams, and about vehicles that move as none can."""
+    found = []
+    on_road = summary.get("vehicles_on_road_mean", 0.0)
     standing_p = summary.get("vehicles_standing_p", 0.0)
     if standing_p >= MOST_STANDING_P and standing_p * on_road >= MOST_STANDING:
         found.append(
@@ -205,17 +221,12 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
             f"note: {share:.2%} of the vehicles move farther within a step than their speed allows, averaged over the "
             "run: they jump, as in a network without ways through its junctions, or where SUMO teleports out of a jam."
         )
-    if waiting > max(10.0, MOST_WAITING_P * on_road):
+    n_waiting = summary.get("vehicles_waiting_to_enter_at_end", 0)
+    if n_waiting > max(10.0, MOST_WAITING_P * on_road):
         found.append(
-            f"note: {waiting} vehicles wait to enter at the end, while {on_road:.0f} are on the road: the demand "
+            f"note: {n_waiting} vehicles wait to enter at the end, while {on_road:.0f} are on the road: the demand "
             "exceeds the capacity of the network. Lower traffic.scale, or change the demand."
         )
-    if changed := summary.get("inputs_changed"):
-        found.append(
-            f"note: changed since the replayed run was recorded: {', '.join(changed)}. "
-            "Buildings and streets may differ from that run's."
-        )
-    found += [f"note: SUMO continued after this error: {error}" for error in summary.get("sumo_errors", [])]
     return found
 
 

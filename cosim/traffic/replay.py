@@ -146,7 +146,8 @@ class TraceReplay(_Replay):
         )
         if step == 1 and time_s <= self._first_s:
             self._n_at_begin = len(world)
-        return self._counts.add(world)
+        self._counts.add(world)
+        return world
 
     def skip_gap(self, most: float) -> int:
         """Pass the steps of an empty road between two timesteps, at most so many. Returns their number."""
@@ -357,7 +358,9 @@ class RunReplay(_Replay):
         order = np.argsort(number)
         number = number[order]
         xyz_m, yaw_rad, speed = (rows[name][order] for name in ("xyz_m", "yaw_rad", "speed_mps"))
-        return self._counts.add(world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame))
+        world = world_of(step, number, xyz_m, yaw_rad, speed, self._registry, self._frame)
+        self._counts.add(world)
+        return world
 
     def report(self) -> dict[str, Any]:
         """Counts of the run that is replayed."""

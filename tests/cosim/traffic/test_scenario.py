@@ -311,7 +311,7 @@ def test_standing_vehicles_are_counted_by_hand():
 
     Both cars are at one point, four times in all: too few for a word.
     """
-    counts = FlowCounts()
+    counts = FlowCounts(0.5)
     for speeds in ([0.05, 5.0, 0.0], [0.0, 0.0, 0.0]):
         shape = [Shape.CAR, Shape.CAR, Shape.PEDESTRIAN]
         counts.add(world_of(boxes_at(np.zeros((3, 3))), speeds, np.arange(3), shape))
@@ -344,7 +344,7 @@ def test_traffic_that_no_vehicle_can_drive_is_noted():
     """Ten cars in each of two steps: four at two points, two that overlap, four apart."""
     apart = [(100.0 * k, 0, 0, 0) for k in range(1, 5)]
     boxes = cars_at((0, 0, 0, 0), (0, 0, 0, 90), (0, 50, 0, 0), (0, 50, 0, 0), (0, 80, 0, 0), (0.5, 80, 0, 90), *apart)
-    counts = FlowCounts()
+    counts = FlowCounts(0.5)
     for _ in range(3):
         counts.add(world_of(boxes, 9.0, np.arange(10)))
     told = counts.report()
