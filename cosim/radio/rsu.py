@@ -95,8 +95,11 @@ def place_rsus(params: RsuParams, streets: StreetPlaces) -> RsuAntennas:
             f"rsu.n_at_junctions = {params.n_at_junctions}: the network has no more than {len(taken)} junctions that "
             f"are rsu.apart_m = {params.apart_m:g} m from each other. Set one of the two lower."
         )
-    sites = [(x, y, streets.street_m(x, y), height) for x, y, height in params.at]
-    sites += [(*junction.xyz_m, params.height_m) for junction in taken]
+    sites = []
+    for x, y, height_m in params.at:
+        sites.append((x, y, streets.street_m(x, y), height_m))
+    for junction in taken:
+        sites.append((*junction.xyz_m, params.height_m))
     names: list[str] = []
     for x, y, _, _ in sites:
         name = f"rsu/{x:.2f}/{y:.2f}"  # a unit has the same key wherever it is listed

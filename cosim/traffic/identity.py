@@ -15,6 +15,8 @@ from sumo_nets import vtypes
 from sumo_nets.vtypes import VehicleType
 
 UNKNOWN, LEFT_OUT = -2, -1
+Key = tuple[str, bool]
+"""Name of an actor, and whether it is a person: a vehicle and a person may have one name."""
 _FASTEST_MPS = 70.0
 """No vehicle in traffic is faster."""
 _TELEPORT_M = 1000.0
@@ -50,7 +52,12 @@ class TypeTable:
             self._known[key] = self._found(*key)
         return self._known[key]
 
-    def shapes(self, names: list[str], is_person: Bool[ndarray, "n"], vclasses: list[str] | None) -> Int[ndarray, "n"]:
+    def shapes(
+        self,
+        names: list[str],
+        is_person: Bool[ndarray, "n"],
+        vclasses: list[str] | None,
+    ) -> Int[ndarray, "n"]:
         """Shape code of each actor, or `LEFT_OUT` if it is not on the road."""
         keys = list(zip(names, is_person.tolist(), vclasses or repeat(""), strict=False))
         for key in set(keys) - self._shape.keys():
@@ -61,16 +68,17 @@ class TypeTable:
     def _found(self, name: str, is_person: bool, vclass: str) -> VehicleType:
         defined = self._of_files(name)
         if vclass in vtypes.SIZES_M:
-            return VehicleType(
-                vclass, defined.lwh_m if defined and defined.vclass == vclass else vtypes.SIZES_M[vclass]
-            )
-        if defined is not None and not (
-            is_person and SHAPE_OF_CLASS.get(defined.vclass) not in (None, Shape.PEDESTRIAN)
-        ):
-            return defined
-        if is_person and vtypes.guess(name).vclass not in ("container", "wheelchair"):
-            return VehicleType("pedestrian", vtypes.SIZES_M["pedestrian"])
+            if defined is not None and defined.vclass == vclass:
+                return defined
+            return VehicleType(vclass, vtypes.SIZES_M[vclass])
         guess = vtypes.guess(name)
+        if is_person:  # on foot, even if its type is that of a vehicle
+            if defined is not None and SHAPE_OF_CLASS.get(defined.vclass) in (None, Shape.PEDESTRIAN):
+                return defined
+            if guess.vclass not in ("container", "wheelchair"):
+                return VehicleType("pedestrian", vtypes.SIZES_M["pedestrian"])
+        elif defined is not None:
+            return defined
         if name and not vtypes.is_plain(name):
             self.guessed[name] = guess.vclass
         return guess
@@ -96,17 +104,21 @@ class Identities:
 
     def __init__(self, step_s: float) -> None:
         self._step_s = step_s
-        self._number: dict[tuple[str, bool], int] = {}
-        self._used: set[tuple[str, bool]] = set()
+        self._number: dict[Key, int] = {}
+        self._used: set[Key] = set()
         self._type: list[str] = []
         self._turn = 0
         self._last_turn = np.zeros(0, np.int64)
         self._last_step = np.zeros(0, np.int64)
         self._last_m = np.zeros((0, 2))
-        self._n_again, self._first_again = 0, ""
+        self._again: list[str] = []
 
     def numbers(
-        self, keys: list[tuple[str, bool]], types: list[str], xy_m: Float[ndarray, "n 2"], step: int
+        self,
+        keys: list[Key],
+        types: list[str],
+        xy_m: Float[ndarray, "n 2"],
+        step: int,
     ) -> Int[ndarray, "n"]:
         """The number of each actor, or `UNKNOWN` for a new one, which `add` then numbers.
 
@@ -114,8 +126,6 @@ class Identities:
 
         Parameters
         ----------
-        keys
-            Names, and whether each is a person.
         types
             Names of types; what follows `@` does not count.
         """
@@ -137,7 +147,7 @@ class Identities:
         number[seen[is_other]] = UNKNOWN
         return number
 
-    def names(self, keys: list[tuple[str, bool]]) -> list[str]:
+    def names(self, keys: list[Key]) -> list[str]:
         """Names under which new actors are registered."""
         shown = []
         for name, is_person in keys:
@@ -147,14 +157,13 @@ class Identities:
                 new = f"{name}/{n}"
             self._used.add((new, is_person))
             if n > 1:
-                self._first_again = self._first_again or new
-                self._n_again += 1
+                self._again.append(new)
             shown.append(new)
         return shown
 
     def add(
         self,
-        keys: list[tuple[str, bool]],
+        keys: list[Key],
         types: list[str],
         xy_m: Float[ndarray, "k 2"],
         number: Int[ndarray, "k"],
@@ -177,4 +186,4 @@ class Identities:
 
     def report(self) -> dict[str, Any]:
         """How many names came back as another actor, and the first of these actors."""
-        return {"names_again": {"n": self._n_again, "first": self._first_again}} if self._n_again else {}
+        return {"names_again": {"n": len(self._again), "first": self._again[0]}} if self._again else {}

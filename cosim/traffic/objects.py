@@ -102,7 +102,6 @@ class Placed:
         kinds = [Shape[o.vehicle_class.upper()] for o in objects]
         kinds += [Shape.ROADSIDE_UNIT] * n_units
         shape = np.array(kinds, np.uint8)
-        is_unit = np.array([kind == Shape.ROADSIDE_UNIT for kind in kinds], bool)
         masts_m = np.column_stack([np.full((n_units, 2), MAST_M), units.height_m])
         objects_m = np.array([o.lwh_m for o in objects]).reshape(-1, 3)
         lwh_m = np.concatenate([objects_m, masts_m])
@@ -118,7 +117,7 @@ class Placed:
         times_s += [(0.0, np.inf)] * n_units
         times = np.array(times_s).reshape(-1, 2) / step_s
         from_step, to_step = np.ceil(times - 1e-9).T
-        placed = Placed(names, shape, boxes, from_step, to_step, is_unit)
+        placed = Placed(names, shape, boxes, from_step, to_step, shape == Shape.ROADSIDE_UNIT)
         if frame.bounds_m is not None:  # that of a trace without a network is known once the trace is read
             placed.check(frame)
         return placed
@@ -188,10 +187,13 @@ class WithObjects:
 
 def _check_place(placed: Placed, origin_m: Sequence[float]) -> None:
     """Raise TrafficError if an object is at the coordinates of a trace whose world has an origin of its own."""
+    if not any(origin_m):
+        return
     at_m = placed.boxes.xyz_m[:, :2]
     here_m = at_m - origin_m  # the first actors are within a kilometre of the world's origin
     is_there = np.hypot(*here_m.T) < NETWORK_MARGIN_M
-    for row in np.flatnonzero(is_there).tolist() if any(origin_m) else ():
+    if is_there.any():
+        row = int(np.argmax(is_there))
         places = at_m[row], origin_m, here_m[row]
         given, origin, here = ("[{:.10g}, {:.10g}]".format(*xy) for xy in places)
         raise TrafficError(
