@@ -16,6 +16,7 @@ from cosim.attacks import victims
 from cosim.attacks.params import AttackParams
 from cosim.base import rng
 from cosim.base.plane import turned_by, wrapped
+from cosim.base.ragged import place_in_group
 from cosim.base.rng import Stream
 from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, Detections
@@ -316,8 +317,7 @@ def fabricated(
     n_senders = 1 + int(max(own.max(initial=-1), sender.max(initial=-1)))
     last = np.full(n_senders, -1)
     np.maximum.at(last, own, listed.detection_index)
-    number = np.arange(n) - np.searchsorted(sender, sender)
-    added = replace(added, detection_index=last[sender] + 1 + number)
+    added = replace(added, detection_index=last[sender] + 1 + place_in_group(sender))
     return Detections.by_key([listed, added])
 
 

@@ -8,6 +8,7 @@ from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, fabricated
 from cosim.base import rng
+from cosim.base.ragged import place_in_group
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from sensors.boxes import Boxes
 
@@ -38,7 +39,7 @@ def ghosts(
     listed
         The detections of the step.
     observer, label
-        Row of the world of the vehicle that adds each ghost, and its class.
+        Row of the world of the vehicle that adds each ghost, ascending, and its class.
     boxes
         Where the ghosts stand. They keep their ground and get the size of a detection.
     target
@@ -112,8 +113,7 @@ def _alike(
 ) -> Int[ndarray, "c"]:
     """For each ghost, the row of the pool that it resembles; -1 if the pool has none of its class."""
     range_m = _range_m(boxes.xyz_m, observer, context)
-    number = np.arange(len(observer)) - _first(observer)
-    draw = context.uniforms(context.name_key(observer), number)[:, 0]
+    draw = context.uniforms(context.name_key(observer), place_in_group(observer))[:, 0]
     chosen = np.full(len(observer), -1)
     for one in np.unique(label):
         of_class = np.flatnonzero(pool["label"] == one)
@@ -128,12 +128,6 @@ def _alike(
         drawn = (draw[mine] * n).astype(np.int64)
         chosen[mine] = of_class[order[begin + drawn]]
     return chosen
-
-
-def _first(observer: Int[ndarray, "c"]) -> Int[ndarray, "c"]:
-    """Row of the first ghost of the same observer."""
-    _, first, group = np.unique(observer, return_index=True, return_inverse=True)
-    return first[group]
 
 
 def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tuple[Detections, Int[ndarray, "d"]]:

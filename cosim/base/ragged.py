@@ -49,6 +49,11 @@ def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
 
 
+def place_in_group(group: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
+    """How many rows of the same group come before each row. Groups are ascending."""
+    return np.arange(len(group)) - np.searchsorted(group, group)
+
+
 def owner_of_rows(count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:
     """Owner of each row if owner i has `count[i]` rows, one owner after another."""
     return np.repeat(np.arange(len(count)), count)

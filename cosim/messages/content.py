@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import DetectionFault, ObjectClass, Origin
-from cosim.base.ragged import differs_from_last
+from cosim.base.ragged import differs_from_last, place_in_group
 from cosim.base.rows import Rows
 from cosim.messages import etsi
 from cosim.messages.cpm_params import MOST_OBJECTS
@@ -235,9 +235,8 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
     is_new = differs_from_last(message[order]) | differs_from_last(number[order])
     found[order[~is_new]] = DetectionFault.REPEATED_NUMBER
     order = order[is_new]
-    of = message[order]
-    rank = np.arange(len(order)) - np.searchsorted(of, of)  # in its message
-    found[order[rank >= MOST_OBJECTS]] = DetectionFault.TOO_MANY
+    is_over = place_in_group(message[order]) >= MOST_OBJECTS
+    found[order[is_over]] = DetectionFault.TOO_MANY
     return found
 
 

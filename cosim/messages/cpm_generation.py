@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.plane import wrapped
-from cosim.base.ragged import rows_of
+from cosim.base.ragged import place_in_group, rows_of
 from cosim.messages.content import SELF, Detections, velocities
 from cosim.messages.cpm_params import CpmParams
 from cosim.messages.redundancy import Candidates, Heard, redundant
@@ -403,10 +403,8 @@ def beyond_limit(
         Largest number of objects in a message.
     """
     order = np.lexsort((number, -utility, message))
-    of = message[order]
-    rank = np.arange(len(order)) - np.searchsorted(of, of)  # in its message
     over = np.zeros(len(order), bool)
-    over[order] = rank >= limit
+    over[order] = place_in_group(message[order]) >= limit
     return over
 
 

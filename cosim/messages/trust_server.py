@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
-from cosim.base.ragged import owner_of_rows
+from cosim.base.ragged import owner_of_rows, place_in_group
 from cosim.messages import cellular
 from cosim.messages.cellular import CellularParams, transfer_delay_s, within_capacity
 from cosim.messages.content import report_bytes, trust_broadcast_bytes
@@ -130,8 +130,7 @@ class Uplink:
         keys, sent, place = rng.keys(key, name_key), length, xy_m
         if n_copies is not None and n_copies.any():
             of = owner_of_rows(np.where(length > 0, n_copies, 0))
-            number = np.arange(len(of)) - np.searchsorted(of, of)
-            keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + number)])
+            keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + place_in_group(of))])
             sent = np.concatenate([length, length[of]])
             place = np.concatenate([xy_m, xy_m[of]])
         budget_bytes = p.cell_up_bytes_per_s * self.interval_s

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.codes import LosState
-from cosim.base.ragged import order_by_two
+from cosim.base.ragged import order_by_two, place_in_group
 from cosim.base.rows import Rows
 from cosim.radio.bodies import Bodies
 from cosim.radio.segmentation import ENVELOPE_BYTES, segments
@@ -150,7 +150,7 @@ class Messages:
     def keys(self, stations: Stations) -> UInt64[ndarray, "m"]:
         """Key of each message's draws: the station's key for its first message, hashes of that key for the others."""
         key = stations.key[self.station]
-        number = np.arange(len(self)) - np.searchsorted(self.station, self.station)
+        number = place_in_group(self.station)
         more = np.flatnonzero(number)
         if len(more):
             key[more] = rng.keys(np.uint64(0), key[more], number[more])

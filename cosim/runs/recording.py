@@ -19,7 +19,7 @@ from numpy import ndarray
 from cosim.attacks.params import roles_of
 from cosim.base.codes import EvaluationKind, LookupState, MessageType
 from cosim.base.plane import wrapped
-from cosim.base.ragged import ptr_of, stable_order
+from cosim.base.ragged import place_in_group, stable_order
 from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.cpm_generation import Inclusion
 from cosim.messages.pseudonyms import PseudonymUse
@@ -708,7 +708,7 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         rows: Rows = {
             "variant": np.full(len(ego), variant),
             "observer": sensed.sensing.actor[ego],
-            "fused_index": _index_within(ego, len(sensed.sensing)),
+            "fused_index": place_in_group(ego),
             "score": fused.score,
             "n_sources": fused.n_sources,
             "ego_detected": fused.ego_detected,
@@ -726,11 +726,6 @@ def _fused(recorder: TakesRows, world: World, sensed: Sensed) -> None:
         recorder.append("fused", world.step, _without(is_unit[ego], rows))
 
 
-def _index_within(ego: Int[ndarray, "n"], n_egos: int) -> Int[ndarray, "n"]:
-    """Number of each object among those of its ego, from 0; `ego` is ascending."""
-    return np.arange(len(ego)) - ptr_of(ego, n_egos)[ego]
-
-
 def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     """Append the objects detected in merged point clouds, and the clouds that vehicles sent."""
     early = sensed.early
@@ -740,7 +735,7 @@ def _early(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     is_unit = world.is_roadside[sensed.sensing.row]
     objects = {
         "observer": actor[ego],
-        "early_index": _index_within(ego, len(actor)),
+        "early_index": place_in_group(ego),
         "class": early.label,
         **box_columns(early.boxes),
         "score": early.score,

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.base.ragged import differs_from_last, expand, ptr_of, rows_of
+from cosim.base.ragged import differs_from_last, expand, place_in_group, ptr_of, rows_of
 from cosim.config.config import Config
 from cosim.messages.cloud_params import EarlyFusionParams
 from cosim.messages.content import SENSED
@@ -309,8 +309,7 @@ class EarlyFusion:
         ego, cloud, away_m = ego[newest], cloud[newest], away_m[newest]
         order = np.lexsort((clouds.sender[cloud], away_m, ego))
         ego, cloud = ego[order], cloud[order]
-        rank = np.arange(len(ego)) - np.searchsorted(ego, ego)  # by distance
-        few = rank < self.params.partners
+        few = place_in_group(ego) < self.params.partners
         ego, cloud = ego[few], cloud[few]
         begin = ptr_of(clouds.cloud, len(clouds.step))
         at, of = expand(begin[cloud], begin[cloud + 1])

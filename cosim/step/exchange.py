@@ -9,7 +9,7 @@ from numpy import ndarray
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import Sending
 from cosim.base import rng
-from cosim.base.ragged import differs_from_last, expand
+from cosim.base.ragged import differs_from_last, expand, place_in_group
 from cosim.config.config import Config
 from cosim.messages.content import Detections
 from cosim.radio.bodies import Bodies
@@ -255,8 +255,8 @@ class OnAir:
         of_vehicles = 1 + sending.n_copies[senders.vehicle]
         times = np.concatenate([of_vehicles, np.ones(n_rsus, np.int64)])
         row = np.repeat(message, times)
-        number = np.arange(len(row)) - np.searchsorted(row, row)
-        order = np.lexsort((row, number, station[row]))  # copies come after all original messages of the station
+        # Copies come after all original messages of the station.
+        order = np.lexsort((row, place_in_group(row), station[row]))
         row = row[order]
         if envelope is not None:
             envelope = envelope[row]

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Int32, UInt8, UInt16, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.ragged import place_in_group
 from cosim.base.threads import in_parts, n_threads
 from cosim.messages.content import SENSED, Detections, self_reports
 from cosim.step.stopwatch import Stopwatch
@@ -267,7 +268,7 @@ class Perception:
         n = len(found.observer)
         sensed = Detections.perceived(
             observer=observers[found.observer],
-            detection_index=1 + np.arange(n) - np.searchsorted(found.observer, found.observer),
+            detection_index=1 + place_in_group(found.observer),
             label=found.label,
             boxes=found.boxes,
             score=found.score,

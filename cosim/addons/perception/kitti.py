@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.addons.perception.overlap import in_blocks, iou_3d, iou_bev, near_pairs
-from cosim.base.ragged import differs_from_last
+from cosim.base.ragged import differs_from_last, place_in_group
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -162,8 +162,7 @@ def _match(
     is_first = differs_from_last(i)
     first = np.flatnonzero(is_first)
     group = np.cumsum(is_first) - 1  # ground truths that have candidates
-    frames = frame[i[first]]
-    turn = (np.arange(len(first)) - np.searchsorted(frames, frames))[group]
+    turn = place_in_group(frame[i[first]])[group]
     order = np.argsort(turn, kind="stable")
     for pairs in np.split(order, np.flatnonzero(np.diff(turn[order])) + 1):
         candidate = j[pairs]

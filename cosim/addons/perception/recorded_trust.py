@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from cosim.addons.perception.clouds import points_in, points_of
 from cosim.addons.perception.recorded import Recorded, RecordedBoxes, moved
-from cosim.base.ragged import ptr_of
+from cosim.base.ragged import place_in_group, ptr_of
 from sensors import boxes as geometry
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -154,7 +154,7 @@ class _Frame:
     @staticmethod
     def of(boxes: RecordedBoxes, rows: Int[ndarray, "n"], label: ndarray, here: Int[ndarray, "k"]) -> "_Frame":
         message = np.searchsorted(here, boxes.agent[rows])
-        index = np.arange(len(rows)) - np.searchsorted(message, message) + 1
+        index = 1 + place_in_group(message)
         score = np.clip(boxes.score[rows], 0.0, 1.0)
         table = SentDetections(message, index, label[rows], score, np.zeros(len(rows), bool))
         agent = np.arange(len(here))

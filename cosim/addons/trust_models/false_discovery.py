@@ -10,6 +10,7 @@ from numpy import ndarray
 from scipy.special import betainc, gammaincc
 
 from cosim.addons.trust_models.prbi import agreement, numbered
+from cosim.base.ragged import place_in_group
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -55,7 +56,7 @@ def critical(p: Numbers, holder: Int[ndarray, "n"], level: float) -> Numbers:
     `holder` is ascending.
     """
     order = np.lexsort((p, holder))
-    rank = 1 + np.arange(len(p)) - np.searchsorted(holder, holder)
+    rank = 1 + place_in_group(holder)
     m = np.bincount(holder)[holder]
     found = np.ones(len(p), np.int64)  # by holder
     discovered = p[order] <= rank * level / m

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.base.ragged import as_slice, rows_of
+from cosim.base.ragged import as_slice, place_in_group, rows_of
 
 ASCENDING = [[7], [3, 4, 9], [-5, 0, 2**40], list(range(-3, 40, 2)), [0, 5, 5, 6]]
 
@@ -32,3 +32,8 @@ def test_nothing_is_among_no_numbers():
 def test_rows_without_gaps_are_a_slice(rows, found):
     rows = np.array(rows, np.int64)
     assert as_slice(rows) == found if found else as_slice(rows) is rows
+
+
+def test_places_in_groups_begin_at_zero():
+    assert place_in_group(np.array([2, 2, 2, 5, 7, 7])).tolist() == [0, 1, 2, 0, 0, 1]
+    assert not len(place_in_group(np.zeros(0, int)))

@@ -36,6 +36,7 @@ from cosim.addons.perception.measures.displaced import (
 )
 from cosim.addons.perception.measures.early_fusion import Disturbance, early_boxes
 from cosim.addons.perception.measures.mixed import frames_at_speed, in_turn
+from cosim.base.ragged import place_in_group
 from results.run import Run
 from results.sensing import is_lock_step
 
@@ -179,8 +180,7 @@ def _partners(poses: Poses, actors: pd.DataFrame, setting: Setting) -> tuple[nda
     away_m = own_m - equipped[["x_m", "y_m"]].to_numpy()[j]
     order = np.lexsort([np.hypot(*away_m.T), i])
     i, j = i[order], j[order]
-    place = np.arange(len(i)) - np.searchsorted(i, i)
-    few = place < setting.partners
+    few = place_in_group(i) < setting.partners
     i, j = i[few], j[few]
     return poses.frame.to_numpy()[i], equipped.actor.to_numpy()[j]
 
