@@ -87,14 +87,7 @@ def broadcast_detections(
     Behind its detection message, a vehicle sends its point cloud, if `cloud_bytes` has the lengths.
     """
     lengths, envelopes = _cpm_lengths(exchange, listed, piggybacked, parts.config)
-    on_air = OnAir.of(
-        exchange.senders,
-        lengths,
-        len(exchange.vehicles),
-        len(parts.rsus),
-        sending=exchange.sending,
-        envelope_bytes=envelopes,
-    )
+    on_air = OnAir.of(exchange, lengths, sending=exchange.sending, envelope_bytes=envelopes)
     return _broadcast(exchange, RoundKind.CPM, on_air, exchange.now.begin_s, lengths, medium, parts, cloud_bytes)
 
 
@@ -108,7 +101,7 @@ def broadcast_evaluations(
     alone = parts.config.radio.evaluations == "alone"
     lengths = evaluation_bytes(np.diff(evaluated.sent.ptr)) * alone
     rsu_bytes = 0 if rsu_broadcast is None else trust_broadcast_bytes(len(rsu_broadcast.scores.subject))
-    on_air = OnAir.of(exchange.senders, lengths, len(exchange.vehicles), len(parts.rsus), rsu_bytes)
+    on_air = OnAir.of(exchange, lengths, rsu_bytes)
     return _broadcast(exchange, RoundKind.EVALUATION, on_air, exchange.now.evaluated_s, lengths, medium, parts)
 
 
@@ -148,9 +141,8 @@ def _names(exchange: Exchange) -> Int[ndarray, "m"]:
 
     Messages of roadside units follow.
     """
-    n_units = len(exchange.stations) - len(exchange.vehicles)
     accepted = np.where(exchange.senders.is_valid, exchange.sender, -1)
-    return np.append(accepted, np.full(n_units, -1))
+    return np.append(accepted, np.full(exchange.n_rsus, -1))
 
 
 def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:

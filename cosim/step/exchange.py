@@ -158,7 +158,7 @@ class Exchange:
     attacks: ActiveAttacks
     """Attacks that are carried out in this step."""
     sending: Sending | None
-    """Which vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
+    """How vehicles delay, copy, flood or jam, by row of `vehicles`; None if no vehicle does."""
     refused: Refused | None = None
     """None without relay control."""
 
@@ -167,10 +167,24 @@ class Exchange:
         world: World, now: Times, vehicles: Vehicles, senders: Senders, stations: Stations, attacks: ActiveAttacks
     ) -> "Exchange":
         """Apply the effects of this step's attacks on the channel and on the sending of messages."""
-        sending = sending_of(attacks.sending(), vehicles)
-        if sending is not None and sending.abuses_channel().any():
+        sending = attacks.sending().take(vehicles.row)
+        if sending.abuses_channel().any():
             stations = replace(stations, abuse=abuse_of(sending, len(stations) - len(vehicles)))
-        return Exchange(world, now, vehicles, vehicles.sensing(), senders, stations, attacks, sending)
+        return Exchange(
+            world=world,
+            now=now,
+            vehicles=vehicles,
+            sensing=vehicles.sensing(),
+            senders=senders,
+            stations=stations,
+            attacks=attacks,
+            sending=sending if sending.attacks().any() else None,
+        )
+
+    @property
+    def n_rsus(self) -> int:
+        """Number of roadside units with an antenna."""
+        return len(self.stations) - len(self.vehicles)
 
     @property
     def sender(self) -> Int[ndarray, "m"]:
@@ -217,10 +231,8 @@ class OnAir:
 
     @staticmethod
     def of(
-        senders: Senders,
+        exchange: Exchange,
         length_bytes: Int[ndarray, "m"],
-        n_vehicles: int,
-        n_rsus: int,
         rsu_bytes: int = 0,
         sending: Sending | None = None,
         envelope_bytes: Int[ndarray, "m"] | None = None,
@@ -229,32 +241,27 @@ class OnAir:
 
         Parameters
         ----------
-        senders
-            Messages of the vehicles.
-        n_vehicles
-            Number of vehicles with a station.
         length_bytes
-            Length of each message; 0 if it is not sent.
-        n_rsus, rsu_bytes
-            Number of roadside units, and the length of the one message of each.
+            Length of each message of the vehicles; 0 if it is not sent.
+        rsu_bytes
+            Length of the one message of each roadside unit.
         sending
             How vehicles send, by row of `Vehicles`. None if all send honestly.
         envelope_bytes
             What each segment of the vehicles' messages repeats, as in `Messages`.
         """
-        n, stations = len(senders), n_vehicles + np.arange(n_rsus)
-        length = np.concatenate([length_bytes, np.full(n_rsus, rsu_bytes)])
-        station = np.concatenate([senders.vehicle, stations])
-        message = np.arange(n + n_rsus)
+        vehicle, n_rsus = exchange.senders.vehicle, exchange.n_rsus
+        length = np.append(length_bytes, np.full(n_rsus, rsu_bytes))
+        station = np.append(vehicle, len(exchange.vehicles) + np.arange(n_rsus))
+        message = np.arange(len(station))
         envelope = None
         if envelope_bytes is not None:
-            envelope = np.concatenate([envelope_bytes, np.full(n_rsus, ENVELOPE_BYTES)])
+            envelope = np.append(envelope_bytes, np.full(n_rsus, ENVELOPE_BYTES))
         if sending is None:
             return OnAir(Messages(station, length, envelope_bytes=envelope), message)
-        delay_s = np.concatenate([sending.delay_s[senders.vehicle], np.zeros(n_rsus)])
-        of_vehicles = 1 + sending.n_copies[senders.vehicle]
-        times = np.concatenate([of_vehicles, np.ones(n_rsus, np.int64)])
-        row = np.repeat(message, times)
+        delay_s = np.append(sending.delay_s[vehicle], np.zeros(n_rsus))
+        n_copies = np.append(sending.n_copies[vehicle], np.zeros(n_rsus, np.int64))
+        row = np.repeat(message, 1 + n_copies)
         # Copies come after all original messages of the station.
         order = np.lexsort((row, place_in_group(row), station[row]))
         row = row[order]
@@ -311,23 +318,3 @@ def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLis
     at, of = expand(lists.ptr[list_], lists.ptr[list_ + 1])
     ptr = np.searchsorted(of, np.arange(len(senders) + 1))
     return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at
-
-
-def sending_of(sending: Sending, vehicles: Vehicles) -> Sending | None:
-    """`sending` by row of `Vehicles`; None if no vehicle attacks the channel or the server."""
-    mine = sending.take(vehicles.row)
-    return mine if mine.attacks().any() else None
-
-
-def distinct(number: Int[ndarray, "m"], message: Int[ndarray, "d"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "d"]]:
-    """The distinct values of `number`, ascending, and for each row of `message` the row of its number among them.
-
-    Parameters
-    ----------
-    number
-        Number of each message.
-    message
-        Row of `number` of each detection.
-    """
-    once, row = np.unique(number, return_inverse=True)
-    return once, row.reshape(-1)[message]

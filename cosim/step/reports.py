@@ -18,7 +18,7 @@ from cosim.messages.trust_server import LinkStats
 from cosim.radio.message_round import LinkReceptions, Receptions
 from cosim.step.broadcast import Broadcast, SentEvaluations
 from cosim.step.evaluate import Evaluated
-from cosim.step.exchange import Exchange, Times, distinct
+from cosim.step.exchange import Exchange, Times
 from cosim.step.late import LateMessages
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
@@ -156,7 +156,8 @@ def _open_step(
     subject = linkage.subjects(pseudonyms, pseudonym)
     _, index = linkage.keys(pseudonyms, pseudonym[message], index)
     if linkage.renames:
-        subject, message = distinct(subject, message)
+        subject, row = np.unique(subject, return_inverse=True)
+        message = row[message]
     return parts.trust.open_step(trust, exchange.now.step, subject, message, index, score)
 
 
