@@ -12,39 +12,40 @@ from cosim.base.kernel import compiled
 @compiled
 def slots(pair, slot, one, other):
     """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows."""
+    a, b = pair >> 32, pair & 0xFFFFFFFF
     n = 0
     for k in range(len(pair)):
-        n = max(n, (pair[k] & 0xFFFFFFFF) + 1)
+        n = max(n, b[k] + 1)
     begin = np.zeros(n + 1, np.int64)  # where the encounters of each actor begin
     for k in range(len(pair)):
-        begin[(pair[k] >> 32) + 1] += 1
-        begin[(pair[k] & 0xFFFFFFFF) + 1] += 1
+        begin[a[k] + 1] += 1
+        begin[b[k] + 1] += 1
     for actor in range(n):
         begin[actor + 1] += begin[actor]
     put = begin[:-1].copy()
     partner = np.empty(2 * len(pair), np.int32)
     held = np.empty(2 * len(pair), np.int32)
     for k in range(len(pair)):
-        a, b = pair[k] >> 32, pair[k] & 0xFFFFFFFF
-        partner[put[a]] = b
-        partner[put[b]] = a
-        held[put[a]] = slot[k]
-        held[put[b]] = slot[k]
-        put[a] += 1
-        put[b] += 1
+        partner[put[a[k]]] = b[k]
+        partner[put[b[k]]] = a[k]
+        held[put[a[k]]] = slot[k]
+        held[put[b[k]]] = slot[k]
+        put[a[k]] += 1
+        put[b[k]] += 1
     found = np.empty(len(one), np.int64)
-    now = -1
-    of = np.full(n, -1, np.int32)
-    at = np.empty(n, np.int32)
+    last = -1  # the actor in `one` whose encounters `slot_with` holds
+    met_by = np.full(n, -1, np.int32)  # of each actor, the last one whose encounters included it
+    slot_with = np.empty(n, np.int32)
     for row in range(len(one)):
-        if one[row] != now:
-            now = one[row]
-            if now < n:
-                for k in range(begin[now], begin[now + 1]):
-                    of[partner[k]] = now
-                    at[partner[k]] = held[k]
+        if one[row] != last:
+            last = one[row]
+            if last < n:
+                for k in range(begin[last], begin[last + 1]):
+                    met_by[partner[k]] = last
+                    slot_with[partner[k]] = held[k]
         whom = other[row]
-        found[row] = at[whom] if whom < n and of[whom] == now else -1
+        is_met = whom < n and met_by[whom] == last
+        found[row] = slot_with[whom] if is_met else -1
     return found
 
 

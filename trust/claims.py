@@ -18,7 +18,15 @@ N_OBJECTS = 16
 """An evaluator asks for the first objects of its own list in the messages of others: its surest ones."""
 
 
-def claim_number(number: Int[ndarray, "n"], kind: UInt8[ndarray, "n"] | int) -> Int[ndarray, "n"]:
+_WRONG_P = 0.1
+"""Probability that an honest difference of velocities is larger than the variances say: in turns, and where the track
+follows another object."""
+
+
+def claim_number(
+    number: Int[ndarray, "n"],
+    kind: UInt8[ndarray, "n"] | int,
+) -> Int[ndarray, "n"]:
     """The number by which trust models know a claim; `divmod` by the number of `KINDS` inverts it.
 
     Parameters
@@ -32,7 +40,9 @@ def claim_number(number: Int[ndarray, "n"], kind: UInt8[ndarray, "n"] | int) -> 
 
 
 def claims_of_messages(
-    message: Int[ndarray, "d"], detection_index: Int[ndarray, "d"], score: Float[ndarray, "d"]
+    message: Int[ndarray, "d"],
+    detection_index: Int[ndarray, "d"],
+    score: Float[ndarray, "d"],
 ) -> tuple[Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]:
     """Message, number and score of all claims of some messages with these detections.
 
@@ -51,7 +61,10 @@ def claims_of_messages(
     return np.concatenate(messages), np.concatenate(numbers), np.concatenate(scores)
 
 
-def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n"]) -> Float[ndarray, "n"]:
+def presence_support(
+    expected_p: Float[ndarray, "n"],
+    is_reported: Bool[ndarray, "n"],
+) -> Float[ndarray, "n"]:
     """How much an object that an evaluator sees says for or against the honesty of a message.
 
     Parameters
@@ -59,7 +72,7 @@ def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n
     expected_p
         Probability that an honest sender reports the object: that it exists, times the recall of the sender's detector
         at its range and visibility.
-    reported
+    is_reported
         Whether the message has a detection at the object's place.
 
     Returns
@@ -78,14 +91,15 @@ def presence_support(expected_p: Float[ndarray, "n"], reported: Bool[ndarray, "n
     """
     a = expected_p
     of_missing = -a / (4.0 - 3.0 * a)
-    support = np.where(reported, 1.0 / 3.0, of_missing)
+    support = np.where(is_reported, 1.0 / 3.0, of_missing)
     return np.where(a > 0, support, 0.0)
 
 
 def velocity_support(
-    difference_mps: Float[ndarray, "n 2"], variance: Float[ndarray, "n 2"], prior_variance: Float[ndarray, "n 2"],
-    wrong_p: float = 0.1,
-) -> Float[ndarray, "n"]:  # fmt: skip
+    difference_mps: Float[ndarray, "n 2"],
+    variance: Float[ndarray, "n 2"],
+    prior_variance: Float[ndarray, "n 2"],
+) -> Float[ndarray, "n"]:
     """How much an evaluator's track says for or against a claimed velocity.
 
     Parameters
@@ -96,9 +110,6 @@ def velocity_support(
         Variance of that difference if the claim is honest: as the track states it, plus that of the claim [m2/s2].
     prior_variance
         Variance of the velocity of an object of that class about which nothing is known [m2/s2].
-    wrong_p
-        Probability that an honest difference is larger than the variances say: in turns, and where the track follows
-        another object.
 
     Returns
     -------
@@ -106,9 +117,10 @@ def velocity_support(
 
     Notes
     -----
-    An honest difference is normal with `variance`, or, with probability `wrong_p`, with `variance + prior_variance`. A
-    liar's claim is any velocity of that class, so its difference is normal with `variance + prior_variance`. With f and
-    g the two densities, w for `wrong_p` and even prior odds, P = ((1 - w) f + w g) / ((1 - w) f + (1 + w) g).
+    An honest difference is normal with `variance`, or, with probability w (`_WRONG_P`), with `variance +
+    prior_variance`. A liar's claim is any velocity of that class, so its difference is normal with `variance +
+    prior_variance`. With f and g the two densities and even prior odds,
+    P = ((1 - w) f + w g) / ((1 - w) f + (1 + w) g).
 
     Deviations: ours; [1]_ has no velocities. The contaminated normal distribution is Tukey's (1960).
     """
@@ -116,12 +128,15 @@ def velocity_support(
     log_f = _log_density(difference_mps, variance)
     log_g = _log_density(difference_mps, wide)
     ratio = np.exp(log_f - log_g)  # f / g, which is bounded by sqrt(|wide| / |variance|)
-    honest_less_lying = (1.0 - wrong_p) * (ratio - 1.0)
-    both = (1.0 - wrong_p) * ratio + 1.0 + wrong_p
+    honest_less_lying = (1.0 - _WRONG_P) * (ratio - 1.0)
+    both = (1.0 - _WRONG_P) * ratio + 1.0 + _WRONG_P
     return honest_less_lying / both
 
 
-def _log_density(x: Float[ndarray, "n 2"], variance: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+def _log_density(
+    x: Float[ndarray, "n 2"],
+    variance: Float[ndarray, "n 2"],
+) -> Float[ndarray, "n"]:
     """Logarithm of the normal density of two independent components around 0, without its constant."""
     return -0.5 * (x**2 / variance + np.log(variance)).sum(axis=1)
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, fabricated
@@ -49,17 +49,17 @@ def ghosts(
         return fabricated(listed, observer, label, boxes, np.ones(len(observer)), target)
     pool = _pool(listed if context.seen is None else context.seen, context)
     chosen = _alike(pool, observer, label, boxes, context)
-    there = chosen >= 0
-    donor = chosen[there]
+    has_donor = chosen >= 0
+    donor = chosen[has_donor]
     n = len(observer)
     xyz_m, lwh_m = boxes.xyz_m.copy(), boxes.lwh_m.copy()
     score = np.ones(n)
     n_points = np.zeros(n, np.int32)
     speed_mps = np.full(n, np.nan)
-    lwh_m[there] = pool["lwh_m"][donor]
-    score[there] = pool["score"][donor]
-    n_points[there] = pool["n_points"][donor]
-    speed_mps[there] = pool["speed_mps"][donor]
+    lwh_m[has_donor] = pool["lwh_m"][donor]
+    score[has_donor] = pool["score"][donor]
+    n_points[has_donor] = pool["n_points"][donor]
+    speed_mps[has_donor] = pool["speed_mps"][donor]
     higher_m = lwh_m[:, 2] - boxes.lwh_m[:, 2]
     xyz_m[:, 2] += higher_m / 2
     boxes = Boxes(xyz_m, lwh_m, boxes.yaw_rad)
@@ -98,7 +98,11 @@ def _pool(seen: Detections, context: AttackContext) -> dict[str, ndarray]:
     return pool
 
 
-def _range_m(xyz_m: Float[ndarray, "n 3"], observer: Int[ndarray, "n"], context: AttackContext) -> Float[ndarray, "n"]:
+def _range_m(
+    xyz_m: Float[ndarray, "n 3"],
+    observer: Int[ndarray, "n"],
+    context: AttackContext,
+) -> Float[ndarray, "n"]:
     """Horizontal distance of each point from its observer."""
     own_m = context.world.boxes.xyz_m[observer, :2]
     return np.linalg.norm(xyz_m[:, :2] - own_m, axis=1)
@@ -130,7 +134,12 @@ def _alike(
     return chosen
 
 
-def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tuple[Detections, Int[ndarray, "d"]]:
+def shuffled(
+    listed: Detections,
+    name_key: UInt64[ndarray, "n"],
+    seed: int,
+    step: int,
+) -> tuple[Detections, Int[ndarray, "d"]]:
     """The lists with the numbers of detections in random order, where a vehicle has fabricated any.
 
     Fabricated detections would otherwise have the highest numbers. Self reports keep number 0.
@@ -144,17 +153,18 @@ def shuffled(listed: Detections, name_key: ndarray, seed: int, step: int) -> tup
     -------
     The lists, sorted by their key again, and the row of `listed` of each of their rows.
     """
-    of_vehicle = listed.identity == 0
-    has_any = np.unique(listed.observer[of_vehicle & (listed.origin == FABRICATED)])
-    of_these = of_vehicle & np.isin(listed.observer, has_any)
-    rows = np.flatnonzero(of_these & (listed.origin != SELF))
+    is_own = listed.identity == 0
+    liars = np.unique(listed.observer[is_own & (listed.origin == FABRICATED)])
+    of_liars = is_own & np.isin(listed.observer, liars)
+    rows = np.flatnonzero(of_liars & (listed.origin != SELF))
     if not len(rows):
         return listed, np.arange(len(listed))
     observer = listed.observer[rows]
     index = listed.detection_index.copy()
     key = rng.key(seed, rng.Stream.ATTACK, step)
     draw = rng.uniforms(key, _SHUFFLE, name_key[observer], index[rows])[:, 0]
-    index[rows[np.lexsort((draw, observer))]] = index[rows]
+    drawn = rows[np.lexsort((draw, observer))]
+    index[drawn] = index[rows]
     again = replace(listed, detection_index=index)
     order = np.lexsort((index, listed.identity, listed.observer))
     return again.take(order), order

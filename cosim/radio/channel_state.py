@@ -28,13 +28,13 @@ class ChannelState:
     def start(now_ns: int = 0) -> "ChannelState":
         """An idle channel without stations."""
         return ChannelState(
-            now_ns,
-            np.zeros(0, dtypes.PHY),
-            np.zeros(0, dtypes.MAC),
-            np.zeros(0, dtypes.PACKET),
-            np.zeros(0, np.int32),
-            np.zeros(0, np.float32),
-            np.zeros(0, np.uint8),
+            now_ns=now_ns,
+            phy=np.zeros(0, dtypes.PHY),
+            mac=np.zeros(0, dtypes.MAC),
+            packets=np.zeros(0, dtypes.PACKET),
+            receiver=np.zeros(0, np.int32),
+            arrival_mw=np.zeros(0, np.float32),
+            reception=np.zeros(0, np.uint8),
         )
 
 
@@ -107,9 +107,7 @@ def next_state(air: Air, log: Log, alive: ndarray, on_air: ndarray, now_ns: int)
     phy, mac, table = air.phys, air.macs, log.packets
     if not alive.any():
         phy["packet"] = mac["head"] = mac["tail"] = dtypes.NONE
-        columns = table, air.receiver, air.arrival_mw, log.outcome
-        nothing = (np.zeros(0, column.dtype) for column in columns)
-        return ChannelState(now_ns, phy, mac, *nothing)
+        return replace(ChannelState.start(now_ns), phy=phy, mac=mac)
     number = np.full(len(table) + 1, dtypes.NONE, np.int32)  # one more: NONE maps to NONE
     number[:-1][alive] = np.arange(np.count_nonzero(alive))
     phy["packet"] = number[phy["packet"]]

@@ -2,7 +2,6 @@
 
 import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,9 @@ class State:
     position_errors: PositionErrors = field(default_factory=PositionErrors)
     tracks: TrackMemory = field(default_factory=TrackMemory)
     """Observers are known by their actor numbers."""
-    n_dropped: Int[ndarray, "f"] = field(default_factory=partial(np.zeros, len(DetectionFault), np.int64))
+    n_dropped: Int[ndarray, "f"] = field(
+        default_factory=lambda: np.zeros(len(DetectionFault), np.int64),
+    )
     """Detections dropped so far because they cannot be sent, by `DetectionFault`."""
     is_consumed: bool = False
     """Whether a step has consumed this state."""
@@ -74,12 +75,12 @@ class State:
     @staticmethod
     def start(parts: Parts) -> "State":
         """The state before the first step."""
-        c = parts.config
+        step_s = parts.config.traffic.step_s
         n_variants = len(parts.trust.variants)
         return State(
             medium=parts.medium.start(),
             trust=parts.trust.start(),
-            encounters=tuple(EncounterTracker(p, c.traffic.step_s, n_variants) for p in c.encounters),
+            encounters=tuple(EncounterTracker(p, step_s, n_variants) for p in parts.config.encounters),
             attacks=parts.adversary.start(),
         )
 
@@ -96,8 +97,10 @@ class State:
             If an earlier step has consumed this state.
         """
         if self.is_consumed:
-            raise RuntimeError("an earlier step consumed this state: go on from the state that it returned, or from a "
-                               "copy made before it")  # fmt: skip
+            raise RuntimeError(
+                "an earlier step consumed this state: go on from the state that it returned, or from a copy made "
+                "before it"
+            )
         going_on = replace(self)
         object.__setattr__(self, "is_consumed", True)  # the only field of a state that changes
         return going_on
