@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _LONGEST = 300
@@ -18,7 +18,13 @@ class ExtensionError(RuntimeError):
 
 
 @contextmanager
-def at_load(file: str, place: str, what: str, line: int = 1, passes: type[BaseException] = Refused) -> Iterator[None]:
+def at_load(
+    file: str,
+    place: str,
+    what: str,
+    line: int = 1,
+    passes: type[BaseException] = Refused,
+) -> Iterator[None]:
     """Turn any exception of a user's file into `Refused`, including SystemExit. Signals are not changed.
 
     Parameters
@@ -53,7 +59,8 @@ def in_use(file: str, what: str) -> Iterator[None]:
     except (Refused, ExtensionError):
         raise
     except Exception as error:  # whatever a user's class does
-        if not file or not (line := line_of(error, file)):
+        line = line_of(error, file)
+        if not line:
             raise
         raise ExtensionError(
             f"{file}:{line}: {what} raised {reason(error)}. cosim --debug shows the traceback."
@@ -74,7 +81,7 @@ def line_of(error: BaseException, file: str) -> int:
         found = error.lineno or 0
     traceback = error.__traceback__
     while traceback is not None:
-        if same_file(traceback.tb_frame.f_code.co_filename, file):
+        if _is_same_file(traceback.tb_frame.f_code.co_filename, file):
             found = traceback.tb_lineno
         traceback = traceback.tb_next
     return found
@@ -82,22 +89,22 @@ def line_of(error: BaseException, file: str) -> int:
 
 def definition_line(of: type, name: str, file: str) -> int:
     """Line of a file that defines a method of a class. If the file does not define the method, the class's line."""
-    for found in (inspect.unwrap(getattr(of, name, of)), of):
-        code = getattr(found, "__code__", None)
-        if code is not None and same_file(code.co_filename, file):
-            return int(code.co_firstlineno)
-        try:
-            if inspect.isclass(found) and same_file(inspect.getsourcefile(found) or "", file):
-                return inspect.getsourcelines(found)[1]
-        except (OSError, TypeError):  # a class without source, such as one of an interactive session
-            continue
+    method = inspect.unwrap(getattr(of, name, of))
+    code = getattr(method, "__code__", None)
+    if code is not None and _is_same_file(code.co_filename, file):
+        return int(code.co_firstlineno)
+    with suppress(OSError, TypeError):  # a class without source, such as one of an interactive session
+        if _is_same_file(inspect.getsourcefile(of) or "", file):
+            return inspect.getsourcelines(of)[1]
     return 1
 
 
-def same_file(one: str, other: str) -> bool:
+def _is_same_file(one: str, other: str) -> bool:
     """Whether two names refer to the same file."""
-    are_alike = Path(one).name == Path(other).name  # before links are resolved, which takes time
-    return one == other or (are_alike and _resolved(one) == other)
+    if one == other:
+        return True
+    is_named_alike = Path(one).name == Path(other).name  # links are resolved only then, which takes time
+    return is_named_alike and _resolved(one) == other
 
 
 def _resolved(name: str) -> str:

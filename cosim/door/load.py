@@ -4,7 +4,6 @@
 kind. Both check the class before an instance is built.
 """
 
-import hashlib
 import importlib
 import importlib.util
 import sys
@@ -14,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from cosim.base.durable import sha256
 from cosim.door import blame, isolation, shape
 from cosim.door.kinds import KINDS, Kind
 from cosim.door.permission import check_code
@@ -92,10 +92,10 @@ def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) ->
         The class cannot be used. The message is one line with the file, the line and what to change.
     """
     place = f"{kind.place} = {name}" if kind else name
-    where, colon, class_name = name.rpartition(":")
-    if not (colon and where and class_name):
+    where, _, class_name = name.rpartition(":")
+    if not (where and class_name):
         raise ValueError(f"{place}: name a class as path.py:Name or package.module:Name.")
-    module, source = _module(place, where, class_name, folder)
+    module, source = _module(place, name, folder)
     with blame.at_load(source.file, place, "the class cannot be read"):
         found = getattr(module, class_name, None)
         if found is None:
@@ -112,10 +112,10 @@ def load_own(name: str, kind: Kind | None = None, folder: Path | None = None) ->
 
 def function(key: str, name: str) -> Callable[..., Any]:
     """The function that `path.py:name` or `package.module:name` names. If it is missing, a ValueError is raised."""
-    where, colon, of = name.rpartition(":")
-    if not colon:
+    where, _, of = name.rpartition(":")
+    if not where:
         raise ValueError(f"{key} = {name}: name a function as path.py:name or package.module:name.")
-    module, _ = _module(f"{key} = {name}", where, of, None)
+    module, _ = _module(f"{key} = {name}", name)
     found = getattr(module, of, None)
     if not callable(found):
         raise ValueError(f"{key} = {name}: {where} defines no function {of}. Name a function of that file.")
@@ -124,33 +124,47 @@ def function(key: str, name: str) -> Callable[..., Any]:
 
 def checksum(key: str, name: str) -> str:
     """Checksum of the file that defines what `path.py:name` or `package.module:name` names."""
-    where, _, of = name.rpartition(":")
-    return _module(f"{key} = {name}", where, of, None)[1].sha256
+    _, source = _module(f"{key} = {name}", name)
+    return source.sha256
 
 
-def _module(place: str, where: str, class_name: str, folder: Path | None) -> tuple[ModuleType, Source]:
+def _module(place: str, name: str, folder: Path | None = None) -> tuple[ModuleType, Source]:
     """The module of a user's own choice. Messages begin with `place`."""
     check_code(place)
-    path = Path(where)
+    where, _, of = name.rpartition(":")
     if not where.endswith(".py"):
-        if where in sys.modules:  # such as __main__, which a notebook has without a file
-            file = getattr(sys.modules[where], "__file__", None) or where
-        else:
-            with blame.at_load(where, place, "cannot be imported"):
-                found = importlib.util.find_spec(where)
-            file = (found.origin if found is not None and found.has_location else None) or where
-        with blame.at_load(file, place, "cannot be imported"), isolation.kept():
-            module = importlib.import_module(where)
-        digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file != where else ""
-        return module, Source(f"{where}:{class_name}", file if file != where else "", digest)
+        return _imported(place, where, of)
+    path = Path(where)
     if folder is not None and (folder / path).is_file():
         path = folder / path
     if not path.is_file():
         raise ValueError(f"{place}: no such file. Give the path of a Python file.")
-    path = path.resolve()
+    return _of_file(place, path.resolve(), of)
+
+
+def _imported(place: str, where: str, of: str) -> tuple[ModuleType, Source]:
+    """A module that is imported by its name."""
+    file = _file_of_module(place, where)
+    with blame.at_load(file or where, place, "cannot be imported"), isolation.kept():
+        module = importlib.import_module(where)
+    digest = sha256(Path(file)) if file else ""
+    return module, Source(f"{where}:{of}", file, digest)
+
+
+def _file_of_module(place: str, where: str) -> str:
+    """The file of a module; empty if it has none, such as `__main__` in a notebook."""
+    if where in sys.modules:
+        return getattr(sys.modules[where], "__file__", None) or ""
+    with blame.at_load(where, place, "cannot be imported"):
+        spec = importlib.util.find_spec(where)
+    return spec.origin or "" if spec is not None and spec.has_location else ""
+
+
+def _of_file(place: str, path: Path, of: str) -> tuple[ModuleType, Source]:
+    """The module of a file. The same file is the same module in every process."""
     with blame.at_load(str(path), place, "cannot be loaded"):
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        name = f"cosim_own_{path.stem}_{digest[:12]}"  # the same file is the same module in every process
+        digest = sha256(path)
+        name = f"cosim_own_{path.stem}_{digest[:12]}"
         if name not in sys.modules:
             spec = importlib.util.spec_from_file_location(name, path)
             assert spec is not None and spec.loader is not None
@@ -162,4 +176,4 @@ def _module(place: str, where: str, class_name: str, folder: Path | None) -> tup
             except BaseException:
                 del sys.modules[name]
                 raise
-    return sys.modules[name], Source(f"{path}:{class_name}", str(path), digest)
+    return sys.modules[name], Source(f"{path}:{of}", str(path), digest)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import hashlib
 import logging
 import re
 import shutil
@@ -18,6 +17,7 @@ from cosim.addons.netbuild import build, osm_files, overpass
 from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
 from cosim.addons.netbuild.osm_xml import check_form
 from cosim.addons.netbuild.streets import LeftOut
+from cosim.base.durable import sha256
 from sumo_nets import demand
 from sumo_nets.density import BY_HOUR, SHARES, Density, trips_per_hour
 from sumo_nets.xml import Attributes, check_prolog, stream
@@ -112,7 +112,7 @@ def from_osm(
         "licence": "ODbL-1.0",
         "attribution": "© OpenStreetMap contributors",
         "file": path.name,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "sha256": sha256(path),
         "left_hand": str(left_hand).lower(),
     }
     template = (_HERE / "common" / "osm_recipe.toml").read_text(encoding="utf-8")
