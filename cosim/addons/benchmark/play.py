@@ -71,63 +71,79 @@ def candidate(name: str, sets: Sequence[str], rules: EvidenceRules) -> Candidate
 class Script:
     """The evidence of a stream in the order in which models get it. All models share it."""
 
-    opened: tuple[tuple[int, ndarray, ndarray, ndarray, ndarray], ...]
+    opened: Sequence[tuple[int, ndarray, ndarray, ndarray, ndarray]]
     """By step: the arguments of `TrustModel.open_step`."""
-    sent: tuple[EvaluationMessages, ...]
-    """By step: the evaluation messages."""
-    arrived: tuple[tuple[ReceivedEvaluations, ...], ...]
+    arrived: Sequence[Sequence[ReceivedEvaluations]]
     """By step: what the server has received at its beginning."""
-    received: tuple[tuple[ReceivedEvaluations, ...], ...]
+    received: Sequence[Sequence[ReceivedEvaluations]]
     """By step: the evaluations that vehicles make, and those that they use."""
     lookups: Rows
     first: Int[ndarray, "t+1"]
     """By step: first row of `lookups`."""
-    due: tuple[bool, ...]
+    due: Sequence[bool]
     """By step: whether the server broadcasts."""
     dt_s: float
 
     @staticmethod
     def of(stream: EvidenceStream, rules: EvidenceRules) -> "Script":
         """The evidence of a stream."""
-        steps = np.arange(rules.n_steps + 1)
-        sent = tuple(_messages(stream, rules))
-        asked, reports = stream.lookups, stream.reports
-        first = np.searchsorted(asked["step"], steps)
-        arrived: list[list[ReceivedEvaluations]] = [[] for _ in sent]
-        begins = np.searchsorted(reports["step"], steps)
-        for made, messages in enumerate(sent):
-            arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
-            arrives = (arrival >= 0) & (arrival < rules.n_steps)
-            for step in np.unique(arrival[arrives]).tolist():
-                row = np.flatnonzero(arrival == step)
-                arrived[step] += _received(messages, np.full(len(row), SERVER), row, rules)
-        received = []
-        for step, messages in enumerate(sent):
-            own = np.arange(len(messages.evaluator))
-            received.append(_received(messages, messages.evaluator, own, rules))
-            here = slice(first[step], first[step + 1])
-            holder = asked["receiver"][here].astype(np.int64)
-            sender = asked["sender"][here].astype(np.int64)
-            of_step = asked["message_step"][here].astype(np.int64)
-            for earlier in np.unique(of_step).tolist():
-                heard = np.flatnonzero(of_step == earlier)
-                of_sender = np.searchsorted(sent[earlier].evaluator, sender[heard])
-                received[step] += _received(sent[earlier], holder[heard], of_sender, rules)
-        due, last = [], -np.inf
-        for step in range(rules.n_steps):
-            now_s = step * rules.dt_s
-            due.append(now_s - last >= rules.server_period_s - 1e-9)
-            last = now_s if due[-1] else last
+        sent = _messages(stream, rules)
         return Script(
-            opened=tuple(_opened(stream, rules)),
-            sent=sent,
-            arrived=tuple(map(tuple, arrived)),
-            received=tuple(map(tuple, received)),
-            lookups=asked,
-            first=first,
-            due=tuple(due),
+            opened=_opened(stream, rules),
+            arrived=_at_server(stream.reports, sent, rules),
+            received=_at_vehicles(stream.lookups, sent, rules),
+            lookups=stream.lookups,
+            first=ptr_of(stream.lookups["step"], rules.n_steps),
+            due=_due(rules),
             dt_s=rules.dt_s,
         )
+
+
+def _due(rules: EvidenceRules) -> list[bool]:
+    """By step: whether the server broadcasts."""
+    due, last_s = [], -np.inf
+    for step in range(rules.n_steps):
+        now_s = step * rules.dt_s
+        is_due = now_s - last_s >= rules.server_period_s - 1e-9
+        due.append(is_due)
+        last_s = now_s if is_due else last_s
+    return due
+
+
+def _at_server(
+    reports: Rows, sent: Sequence[EvaluationMessages], rules: EvidenceRules
+) -> list[list[ReceivedEvaluations]]:
+    """What the server has received at the beginning of each step."""
+    arrived: list[list[ReceivedEvaluations]] = [[] for _ in sent]
+    begins = ptr_of(reports["step"], rules.n_steps)
+    for made, messages in enumerate(sent):
+        arrival = reports["arrival_step"][begins[made] : begins[made + 1]]
+        arrives = (arrival >= 0) & (arrival < rules.n_steps)
+        for step in np.unique(arrival[arrives]).tolist():
+            row = np.flatnonzero(arrival == step)
+            arrived[step] += _received(messages, np.full(len(row), SERVER), row, rules)
+    return arrived
+
+
+def _at_vehicles(
+    asked: Rows, sent: Sequence[EvaluationMessages], rules: EvidenceRules
+) -> list[list[ReceivedEvaluations]]:
+    """The evaluations that vehicles make in each step, and those of the senders whose trust they look up."""
+    received = []
+    begins = ptr_of(asked["step"], rules.n_steps)
+    for step, messages in enumerate(sent):
+        own = np.arange(len(messages.evaluator))
+        got = _received(messages, messages.evaluator, own, rules)
+        here = slice(begins[step], begins[step + 1])
+        holder = asked["receiver"][here].astype(np.int64)
+        sender = asked["sender"][here].astype(np.int64)
+        of_step = asked["message_step"][here].astype(np.int64)
+        for earlier in np.unique(of_step).tolist():
+            heard = np.flatnonzero(of_step == earlier)
+            of_sender = np.searchsorted(sent[earlier].evaluator, sender[heard])
+            got += _received(sent[earlier], holder[heard], of_sender, rules)
+        received.append(got)
+    return received
 
 
 def _received(
@@ -156,13 +172,13 @@ def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, nda
 
 
 def _messages(stream: EvidenceStream, rules: EvidenceRules) -> list[EvaluationMessages]:
+    """The evaluation messages of each step."""
     rows, reports, found = stream.evaluations, stream.reports, []
-    steps = np.arange(rules.n_steps + 1)
-    begins = np.searchsorted(rows["step"], steps)
-    of = np.searchsorted(reports["step"], steps)
+    begins = ptr_of(rows["step"], rules.n_steps)
+    sender_begins = ptr_of(reports["step"], rules.n_steps)
     for step in range(rules.n_steps):
         here = slice(begins[step], begins[step + 1])
-        senders = slice(of[step], of[step + 1])
+        senders = slice(sender_begins[step], sender_begins[step + 1])
         evaluator = reports["evaluator"][senders].astype(np.int64)
         by = rows["evaluator"][here].astype(np.int64)
         ptr = np.append(np.searchsorted(by, evaluator), len(by))
@@ -196,9 +212,10 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
     had then. With `host = "local"` every vehicle keeps the evaluations that it made, and those that it uses.
     """
     model, asked = candidate.new(script.dt_s), script.lookups
+    is_central = candidate.variant.trust.host == "central"
     trust, age_s = np.full((2, len(asked["step"])), np.nan)
-    is_central, n, begin_s = candidate.variant.trust.host == "central", 0, process_time()
     published: dict[int, TrustScores] = {}
+    n, begin_s = 0, process_time()
     for step, opened in enumerate(script.opened):
         if is_central:
             for received in script.arrived[step]:
@@ -212,29 +229,29 @@ def play(script: Script, candidate: Candidate) -> ModelAnswers:
                 model.add_evaluations(received)
                 n += len(received)
             rows = np.arange(script.first[step], script.first[step + 1])
-            scores, holder = model.scores(step), asked["receiver"][rows]
-            _fill(trust, age_s, asked, rows, scores, holder, script.dt_s)
+            _fill(trust, age_s, script, rows, model.scores(step), asked["receiver"][rows])
     cost_s = process_time() - begin_s
     for step, scores in published.items():
         rows = np.flatnonzero(asked["broadcast_step"] == step)
-        _fill(trust, age_s, asked, rows, scores, np.full(len(rows), SERVER), script.dt_s)
+        _fill(trust, age_s, script, rows, scores, np.full(len(rows), SERVER))
     return ModelAnswers(trust, age_s, cost_s, n)
 
 
 def _fill(
     trust: ndarray,
     age_s: ndarray,
-    asked: Rows,
+    script: Script,
     rows: Int[ndarray, "k"],
     scores: TrustScores,
-    holder: ndarray,
-    dt_s: float,
+    holder: Int[ndarray, "k"],
 ) -> None:
     """Write the values of these look-ups that rest on an evaluation."""
+    asked = script.lookups
     sender = asked["sender"][rows].astype(np.int64)
     at, known = scores.rows_of(holder.astype(np.int64), sender)
     at, rows = at[known], rows[known]
     is_evaluated = scores.is_evaluated[at]
     at, rows = at[is_evaluated], rows[is_evaluated]
     trust[rows] = scores.trust[at]
-    age_s[rows] = (asked["step"][rows] - scores.newest_evaluation_step[at]) * dt_s
+    age_steps = asked["step"][rows] - scores.newest_evaluation_step[at]
+    age_s[rows] = age_steps * script.dt_s
