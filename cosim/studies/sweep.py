@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-
 from cosim.base.threads import CORES
 from cosim.door.load import checksum
 from cosim.runs.cluster import connected, local
