@@ -162,6 +162,8 @@ def traffic_remarks(summary: dict[str, Any]) -> list[str]:
             "Buildings and streets may differ from that run's."
         )
     found += [f"note: SUMO continued after this error: {error}" for error in summary.get("sumo_errors", [])]
+    for warning in summary.get("sumo_warnings", []):
+        found.append(f"note: SUMO left out a part of the demand, first with this warning: {warning}")
     return found
 
 

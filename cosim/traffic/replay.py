@@ -281,7 +281,14 @@ def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarra
     return is_person & np.isin(position, position[~is_person])
 
 
-_OF_RECORDED = ("vehicles_waiting_to_enter_at_end", "teleports", "actors_left_out", "origin_m", "sumo_errors")
+_OF_RECORDED = (
+    "vehicles_waiting_to_enter_at_end",
+    "teleports",
+    "actors_left_out",
+    "origin_m",
+    "sumo_errors",
+    "sumo_warnings",
+)
 """What a replay's summary has of the run that is replayed."""
 
 

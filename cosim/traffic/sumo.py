@@ -33,6 +33,8 @@ from sumo_nets.sumocfg import first_departure_s
 from sumo_nets.vtypes import check_size
 
 _LEFT_OUT = -1
+_LOST = "Warning: (?=Route file should be sorted|Removing )"
+"""SUMO's warnings begin so if it leaves out a part of the demand."""
 _END_S = 10.0
 """Time that SUMO's process has to end by itself [s]."""
 
@@ -148,6 +150,7 @@ class SumoTraffic:
             **self._counts.report(),
             **self._first_departure(),
             **({"sumo_errors": errors[:9]} if (errors := self._errors(0)) else {}),
+            **({"sumo_warnings": lost[:9]} if (lost := self._messages(_LOST, 0)) else {}),
         }
 
     def _first_departure(self) -> dict[str, float]:
@@ -239,10 +242,15 @@ class SumoTraffic:
         return self._scratch.path / "sumo.log"
 
     def _errors(self, begin: int) -> list[str]:
-        """SUMO's error messages after that byte of its log, each once and in one line. SUMO continues after many."""
+        """SUMO's error messages after that byte of its log. SUMO continues after many."""
+        return self._messages("Error: ", begin)
+
+    def _messages(self, first_words: str, begin: int) -> list[str]:
+        """SUMO's messages that begin so, after that byte of its log, each once and in one line."""
         text = self._log.read_bytes()[begin : self._log_end].decode(errors="replace")
-        errors = re.findall(r"^Error: (.*(?:\n .*)*)", text.replace(_prefix(self._scratch.path), ""), re.MULTILINE)
-        return list(dict.fromkeys(" ".join(error.split()) for error in errors))
+        text = text.replace(_prefix(self._scratch.path), "")
+        messages = re.findall(rf"^{first_words}(.*(?:\n .*)*)", text, re.MULTILINE)
+        return list(dict.fromkeys(" ".join(message.split()) for message in messages))
 
 
 def started(log: Path) -> subprocess.Popen[bytes]:
@@ -289,7 +297,8 @@ def sumo_options(params: TrafficParams, config: Path, scratch: Path, has_driver:
         "no-step-log": "true",
         "duration-log.disable": "true",
         "duration-log.statistics": "false",
-        "no-warnings": "true",
+        "no-warnings": "false",
+        "aggregate-warnings": 1,  # one of each kind, because a jam has thousands
         "verbose": "false",
         # override the configuration, so that SUMO waits for no TraCI client, and the same seed gives the same traffic
         "remote-port": 0,

@@ -103,6 +103,16 @@ def test_what_sumo_complains_of_though_it_goes_on_is_told(scenario, tmp_path):
     assert "note: SUMO continued after this error: Invalid collision.action 'zz'" in done.stderr
 
 
+def test_demand_that_sumo_leaves_out_is_told(scenario, tmp_path):
+    """SUMO skips what is not in the order of departure, with a warning."""
+    early = '<vehicle id="early" depart="0"><route edges="db bc"/></vehicle></routes>'
+    config = edited(scenario, tmp_path, "odd.rou.xml", lambda t: t.replace("</routes>", early))
+    report = live(str(config), 0, 3)[1]
+    assert report["sumo_warnings"] == ["Route file should be sorted by departure time, ignoring 'early'!"]
+    assert "left out a part of the demand" in traffic_remarks(report)[-1] and "'early'" in traffic_remarks(report)[-1]
+    assert "sumo_warnings" not in live(str(scenario), 0, 3)[1]
+
+
 def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scenario, tmp_path):
     sets = ("traffic.scenario=.", "traffic.duration_s=2000", "fleet.penetration_p=0")
     done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"), cwd=scenario.parent)
