@@ -1,4 +1,4 @@
-"""Files that a user may give to the wrong command: a study, a config, a map."""
+"""Files that a user may give to the wrong command: a study, a config, a map, a city, a trace."""
 
 import shlex
 from pathlib import Path
@@ -25,7 +25,7 @@ def refuse_other_than_config(path: Path | None) -> None:
     """Raise ValueError, which names the right command, if a file is known to be no config of a run."""
     if path is None:
         return
-    refuse_map(path, "")
+    refuse_traffic(path)
     given = shlex.quote(str(path))
     if is_study_file(path):
         raise ValueError(f"{path} is a study, not the config of one run. Make its runs with: cosim sweep {given}")
@@ -33,10 +33,25 @@ def refuse_other_than_config(path: Path | None) -> None:
 
 def refuse_other_than_study(path: Path) -> None:
     """Raise ValueError, which names the right command, if a file is known to be no study."""
-    refuse_map(path, "")
+    refuse_traffic(path)
     if path.suffix == ".toml" and path.is_file() and not is_study_file(path):
         given = shlex.quote(str(path))
         raise ValueError(
             f"{path} is the config of one run: it has no [grid]. Run it with: cosim run {given}. Begin a study with: "
             "cosim init --study"
         )
+
+
+def refuse_traffic(path: Path) -> None:
+    """Raise ValueError, which names the right key, if a path is known to be a map, a city or a trace."""
+    from cosim.traffic.scenario import find
+
+    refuse_map(path, "")
+    if path.suffix == ".toml":
+        return
+    try:
+        find(str(path))
+    except ValueError:  # it is none
+        return
+    given = shlex.quote(str(path))
+    raise ValueError(f"{path} is traffic, not a TOML file. Give it with --set traffic.scenario={given}.")

@@ -112,11 +112,13 @@ def freshness(
 
 def _study_of(path: Path | None, trust_code: bool) -> Any:
     """The study that a path names; None if it names a config."""
+    from cosim.cli.files import refuse_traffic
     from cosim.config.data import read_toml
     from cosim.studies.study import SHIPPED, load
 
     if path is None:
         return None
+    refuse_traffic(path)
     if path.is_file():
         return load(path, trust_code) if {"study", "grid", "zip"} & read_toml(path, "file").keys() else None
     return load(path) if (SHIPPED / f"{path}.toml").is_file() else None

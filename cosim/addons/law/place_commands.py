@@ -36,10 +36,12 @@ def roadside(
 ) -> None:
     """Choose junctions from which vehicles are seen as recently as possible, and print a section of a config."""
     from cosim.addons.law.placement import greedy, observe
+    from cosim.cli.files import refuse_other_than_config
     from cosim.config.config import load
     from cosim.traffic.roadside import drawn
     from sumo_nets.network import Streets
 
+    refuse_other_than_config(config)
     experiment = load(config, overrides, trust_code)
     with progress() as advance:
         sites, coverage = observe(experiment, height, advance)

@@ -43,6 +43,8 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
         (["sweep", "mine.toml", "--out", "x"], "cosim run mine.toml"),
         (["run", "my.osm.pbf"], "cosim nets build --osm my.osm.pbf --out my"),
         (["check", "--set", "traffic.scenario=my.osm.pbf"], "my.osm.pbf --out my, cosim run"),
+        (["run", "helsinki"], "--set traffic.scenario=helsinki"),
+        (["predict", "freshness", "helsinki"], "--set traffic.scenario=helsinki"),
         (["sweep", "my.osm.pbf", "--out", "x"], "cosim nets build --osm my.osm.pbf --out my"),
         (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration_p=1", "--dry-run"], "the study sweeps"),
         (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration=1", "--dry-run"], "unknown key"),
