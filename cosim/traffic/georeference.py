@@ -73,7 +73,7 @@ def conversion(
     Raises
     ------
     TrafficError
-        The positions are known to be elsewhere, and the network has no projection.
+        The positions are known to be elsewhere, and no projection of the network is read.
     """
     fronts = [timestep.front_m[:, :2] for timestep in timesteps if len(timestep.names)]
     if net is None or not fronts:
@@ -83,8 +83,8 @@ def conversion(
         if net.projection is None:
             raise TrafficError(
                 f"{source}: its degrees were projected around their own middle, {own.latitude_deg:.4f} degrees north, "
-                f"{own.longitude_deg:.4f} degrees east, and the network has no projection that leads from there to its "
-                "metres. Give the trace in metres of the network."
+                f"{own.longitude_deg:.4f} degrees east, and the network has no projection that is read: transverse "
+                "Mercator of WGS84, such as UTM. Give the trace in metres of the network."
             )
         return _moved(own, net.projection), "longitudes and latitudes, placed by the projection of the network"
     to_net = net.projection
@@ -207,8 +207,8 @@ class TravelCheck:
         if moves and max(moves) < _DEGREES_RATIO and _in_degrees(timestep.front_m[:, :2]):
             raise TrafficError(
                 f"{self._source}: vehicles move {max(moves):.2g} times as far as their speeds say, so x and y look "
-                "like degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, whose "
-                "network has a projection."
+                "like degrees. Record the trace without --fcd-output.geo, or name the city that it comes from, if its "
+                "network has a transverse Mercator projection of WGS84, such as UTM. No other one is read."
             )
         ratio = self.odd_ratio
         if not moves or ratio is None or _POSSIBLE[0] <= ratio <= _POSSIBLE[1]:

@@ -142,5 +142,8 @@ def _projection(scenario: str | None) -> Projection | None:
         return None
     location = find(scenario).location()
     if location is None or location.projection is None:
-        raise ValueError(f"--scenario {scenario}: its network has no projection that places degrees. Leave it out.")
+        raise ValueError(
+            f"--scenario {scenario}: its network has no transverse Mercator projection of WGS84, such as UTM. "
+            "No other one is read. Leave it out."
+        )
     return location.projection

@@ -138,6 +138,8 @@ def test_degrees_and_map_coordinates_become_the_networks(tmp_path):
         assert a == pytest.approx(b, abs=0.01)
     with pytest.raises(TrafficError, match=r"look like degrees\. Record the trace without --fcd-output.geo"):
         replay(write(tmp_path, geo))
+    with pytest.raises(TrafficError, match=r"such as UTM\. No other one is read"):
+        replay(write(tmp_path, geo), net=NetLocation(NET.bounds_m))  # of a map that is no such projection
     few = [row for row in geo if row[1] == "c0"][:4]  # three moves of one car are enough
     with pytest.raises(TrafficError, match="look like degrees"):
         replay(write(tmp_path, few))
