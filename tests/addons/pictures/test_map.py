@@ -1,6 +1,6 @@
 """The map of where encounters begin."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -24,3 +24,14 @@ def test_every_encounter_that_is_seen_to_begin_counts(tmp_path, n):
     run = tiny.make(tmp_path / "under_way", 36, actors=actors, encounters=under_way)
     with pytest.raises(ValueError, match="no encounter begins while it is recorded"):
         map_figure.draw([run])
+
+
+def test_numbers_beside_the_colours_do_not_overlap(tmp_path):
+    """One encounter in a cell, and 990 in another one: three decades."""
+    actors = [{"step": 1, "actor": a, "x_m": 500.0 * (a < 2), "y_m": 0.0} for a in range(47)]
+    pairs = [(0, 1), *combinations(range(2, 47), 2)]
+    begun = [{"a": a, "b": b, "radius_m": 50.0, "start_step": 1, "end_step": 9} for a, b in pairs]
+    figure = map_figure.draw([tiny.make(tmp_path, 36, actors=actors, encounters=begun)])
+    figure.canvas.draw()
+    labels = [label.get_window_extent() for label in figure.axes[-1].get_xticklabels()]
+    assert len(labels) > 1 and all(one.x1 < other.x0 for one, other in pairwise(labels))
