@@ -476,6 +476,8 @@ def _rows(
         actors = pc.binary_join_element_wise(actors, again, ":")
     actors = actors.to_numpy()
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
+    if kinds is None and layout in ("highd", "ind"):
+        read_as.append("no tracksMeta file beside it says the classes: all are cars")
     speed = units.speeds(path, table)
     if unread := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
         read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")

@@ -244,6 +244,9 @@ def test_classes_and_sizes_beside_a_recording(tmp_path):
                    ((0, 1.9, 4.6), (1, 2.5, 11.8), (2, 0, 0), (3, 0.7, 1.8)) for f in (0, 25))  # fmt: skip
     fixes = given(tmp_path, "03_tracks.csv", "trackId,frame,xCenter,yCenter,width,length\n" + rows)
     assert [t.vclass for t in fixes.types] == ["passenger", "truck", "pedestrian", "bicycle"]
+    assert fixes.read_as == ("layout ind",)
+    alone = given(tmp_path, "09_tracks.csv", "trackId,frame,xCenter,yCenter\n2,0,0,0\n2,25,1,0\n", frame_hz=25.0)
+    assert alone.types[0].vclass == "passenger" and "no tracksMeta file beside it" in alone.read_as[-1]
     sizes = np.array([t.lwh_m[:2] for t in fixes.types])
     np.testing.assert_allclose(sizes, [[4.6, 1.9], [11.8, 2.5], [0.215, 0.478], [1.8, 0.7]])
     (tmp_path / "04_recordingMeta.csv").write_text("id,frameRate\n4,25\n")
