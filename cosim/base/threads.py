@@ -1,5 +1,6 @@
 """How many threads compiled work may use, and work divided among them."""
 
+import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -97,3 +98,11 @@ def _helpers() -> ThreadPoolExecutor:
         _of_this_thread.helpers = ThreadPoolExecutor(CORES)
     found: ThreadPoolExecutor = _of_this_thread.helpers
     return found
+
+
+def _without_helpers() -> None:
+    """Forget the helpers: a forked process has none of the threads of its parent."""
+    _of_this_thread.__dict__.pop("helpers", None)
+
+
+os.register_at_fork(after_in_child=_without_helpers)

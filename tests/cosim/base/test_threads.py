@@ -1,5 +1,7 @@
 """Ranges of items cover all of them, each once, for any number of threads."""
 
+import os
+import signal
 import time
 
 import numpy as np
@@ -53,3 +55,16 @@ def test_what_parts_return_is_in_their_order(threads, most):
     per_thread = 1 if min(threads, most) > 1 else threads
     assert in_parts(work, [0, 3, 3, 9], most) == [(0, 3, per_thread), (3, 3, per_thread), (3, 9, per_thread)]
     assert n_threads() == threads
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # that a process with threads forks
+def test_a_forked_process_has_helpers_of_its_own(threads):
+    def work(begin, end):
+        time.sleep(0.001)
+        return begin
+
+    assert in_parts(work, [0, 1, 2]) == [0, 1]
+    if not (child := os.fork()):
+        signal.alarm(10)
+        os._exit(in_parts(work, [0, 1, 2]) != [0, 1])
+    assert os.waitpid(child, 0)[1] == 0
