@@ -96,7 +96,6 @@ def in_turn(*commands: list[str], cwd: Path, before: str = "", **environment: st
     with tempfile.TemporaryDirectory(prefix="cosim-test-") as streams:
         words = [sys.executable, "-c", before + IN_TURN, json.dumps(commands), streams]
         variables = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])} | environment
-        variables["NUMBA_THREADING_LAYER"] = "workqueue"
         ended = subprocess.check_output(words, cwd=cwd, env=variables, text=True).split()
         return [
             subprocess.CompletedProcess(

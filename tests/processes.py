@@ -64,7 +64,7 @@ class Warm:
         self.folder = folder
 
     def __enter__(self) -> "Warm":
-        environment = os.environ | {"NUMBA_THREADING_LAYER": "workqueue", "PYTHONWARNINGS": "default"}
+        environment = os.environ | {"PYTHONWARNINGS": "default"}
         environment.pop("COLUMNS", None)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.processes", str(self.folder)], stdin=subprocess.PIPE,

@@ -68,7 +68,6 @@ def test_what_is_expected_before_the_present_step_has_asked_is_found_once(thread
     scene, asked = ScriptedScene.load(), []
     worlds = [scene.world(number) for number in range(3)]
     parts = parts_of(scene, near_pairs=lambda world: asked.append(world.step) or world.step)
-    play(1)  # parallel kernels have run
     with Ahead(parts) as ahead:
         for world in worlds[:2]:
             ahead.expect(world, at_once=False)
