@@ -34,8 +34,8 @@ def use_threads(n: int) -> None:
 def in_ranges(work: Callable[[int, int], object], n: int) -> None:
     """Call `work(begin, end)` for ranges that cover n items, in as many threads as this one may use.
 
-    Its items must be independent, and a compiled function without Python's lock must do the work. Numba's own
-    loops in parallel take four times as long to compile. This thread tries a few items first. If they took next to no time, it
+    Its items must be independent, and a compiled function without Python's lock must do the work. Numba's own loops in
+    parallel take four times as long to compile. This thread tries a few items first. If they took next to no time, it
     does the others, too.
     """
     if min(n_threads(), n) < 2:
