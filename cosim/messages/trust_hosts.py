@@ -19,6 +19,7 @@ from cosim.messages.trust_server import (
     Downlink,
     DownlinkState,
     LinkStats,
+    SentReports,
     ServerParams,
     TrustBroadcast,
     Uplink,
@@ -365,38 +366,38 @@ class TrustHosts:
     def report_by_cellular(
         self,
         state: TrustState,
-        messages: EvaluationMessages,
+        reports: SentReports,
         key: ndarray,
         xy_m: ndarray,
         time_s: float,
         is_valid: Bool[ndarray, "m"] | None = None,
         n_copies: Int[ndarray, "m"] | None = None,
     ) -> tuple[TrustState, LinkStats]:
-        """Send reports to the server over the cellular network. All arrays are aligned with the messages.
+        """Send reports to the server over the cellular network. All arrays are aligned with the reports.
 
         Parameters
         ----------
         key
-            Random key of each message.
+            Random key of each report.
         xy_m
             Positions of the senders.
         is_valid
-            Whether the server accepts the message. All are accepted if it is not given.
+            Whether the server accepts the report. All are accepted if it is not given.
         n_copies
             Further copies, which use capacity and have no other effect. None if it is not given.
         """
         if self.server.uplink != "cellular" or not self._any("central"):
             return state, LinkStats()
-        uplink, stats = self.uplink.by_cellular(state.uplink, messages, key, xy_m, time_s, is_valid, n_copies)
+        uplink, stats = self.uplink.by_cellular(state.uplink, reports, key, xy_m, time_s, is_valid, n_copies)
         return TrustState(state.hosts, uplink), stats
 
     def report_by_rsu(
-        self, state: TrustState, messages: EvaluationMessages, message: ndarray, received_s: ndarray
+        self, state: TrustState, reports: SentReports, message: ndarray, received_s: ndarray
     ) -> tuple[TrustState, LinkStats]:
         """Forward the reports that roadside units received to the server; arguments as in `Uplink.by_rsu`."""
         if self.server.uplink != "rsu" or not self._any("central"):
             return state, LinkStats()
-        uplink, stats = self.uplink.by_rsu(state.uplink, messages, message, received_s)
+        uplink, stats = self.uplink.by_rsu(state.uplink, reports, message, received_s)
         return TrustState(state.hosts, uplink), stats
 
     def receive(self, state: TrustState, present: Int[ndarray, "e"], time_s: float) -> TrustState:

@@ -73,6 +73,15 @@ class LinkStats:
         return replace(self, n_late=late.n_reached)
 
 
+class SentReports(NamedTuple):
+    """Reports of V evaluators to the server."""
+
+    used: EvaluationMessages
+    """What the server uses of each report."""
+    n_sent: Int[ndarray, "v"]
+    """Evaluations in each report."""
+
+
 @dataclass(frozen=True, slots=True)
 class UplinkState:
     """Reports that are on their way to the server."""
@@ -93,7 +102,7 @@ class Uplink:
     def by_cellular(
         self,
         state: UplinkState,
-        messages: EvaluationMessages,
+        reports: SentReports,
         name_key: UInt64[ndarray, "v"],
         xy_m: Float[ndarray, "v 2"],
         time_s: float,
@@ -104,10 +113,10 @@ class Uplink:
 
         Parameters
         ----------
-        messages
-            Evaluations of V evaluators. The other arrays are aligned with the evaluators.
+        reports
+            The reports. The other arrays are aligned with them.
         name_key
-            Their keys for random draws, as `Senders.key`.
+            Keys of the evaluators for random draws, as `Senders.key`.
         xy_m
             Their positions.
         time_s
@@ -121,8 +130,8 @@ class Uplink:
         -------
         The new state, and counts of the reports.
         """
-        p, n = self.params.cellular, np.diff(messages.ptr)
-        key = rng.key(self.seed, rng.Stream.UPLINK, messages.step)
+        p, n = self.params.cellular, reports.n_sent
+        key = rng.key(self.seed, rng.Stream.UPLINK, reports.used.step)
         length = np.where(n > 0, report_bytes(n) + cellular.HEADER_BYTES, 0)
         delay_s = transfer_delay_s(key, name_key, p.uplink_loss_p, p.n_retries, p)
         if is_valid is not None:
@@ -137,12 +146,12 @@ class Uplink:
         taken = within_capacity(place, sent, keys, budget_bytes, p.cell_m)[: len(n)]
         out = np.full(len(n), bool(self.params.is_out(time_s)))
         refused = ~taken & ~out
-        return self._send(state, messages, time_s + delay_s, refused, out, int(sent.sum()))
+        return self._send(state, reports, time_s + delay_s, refused, out, int(sent.sum()))
 
     def by_rsu(
         self,
         state: UplinkState,
-        messages: EvaluationMessages,
+        reports: SentReports,
         message: Int[ndarray, "m"],
         received_s: Float[ndarray, "m"],
     ) -> tuple[UplinkState, LinkStats]:
@@ -151,25 +160,25 @@ class Uplink:
         Parameters
         ----------
         message
-            Row of `messages` for each reception.
+            Row of `reports` for each reception.
         received_s
             Time of each reception.
         """
-        arrival = np.full(len(messages.evaluator), np.inf)
+        arrival = np.full(len(reports.n_sent), np.inf)
         np.minimum.at(arrival, message, received_s + self.params.backhaul_s)
         nothing = np.zeros(len(arrival), bool)
-        return self._send(state, messages, arrival, nothing, nothing, 0)
+        return self._send(state, reports, arrival, nothing, nothing, 0)
 
     def _send(
         self,
         state: UplinkState,
-        messages: EvaluationMessages,
+        reports: SentReports,
         arrival_s: ndarray,
         refused: ndarray,
         out: ndarray,
         uplink_bytes: int,
     ) -> tuple[UplinkState, LinkStats]:
-        says = np.diff(messages.ptr) > 0
+        says = reports.n_sent > 0
         out = out | self.params.is_out(arrival_s)
         arrives = says & ~refused & ~out & np.isfinite(arrival_s)
         n_says, n_arrives = int(says.sum()), int(arrives.sum())
@@ -179,7 +188,7 @@ class Uplink:
         stats = LinkStats(n_says, n_arrives, n_lost, 0, n_refused, n_out, uplink_bytes)
         if not arrives.any():
             return state, stats
-        sent = arrival_s[arrives], chosen_messages(messages, arrives)
+        sent = arrival_s[arrives], chosen_messages(reports.used, arrives)
         return UplinkState((*state.under_way, sent)), stats
 
     def arrived(self, state: UplinkState, time_s: float) -> tuple[UplinkState, list[EvaluationMessages]]:

@@ -14,7 +14,7 @@ from cosim.base.ragged import rows_of
 from cosim.config.config import Config
 from cosim.messages.pseudonyms import PseudonymState
 from cosim.messages.trust_hosts import TrustState
-from cosim.messages.trust_server import LinkStats
+from cosim.messages.trust_server import LinkStats, SentReports
 from cosim.radio.message_round import LinkReceptions, Receptions
 from cosim.step.broadcast import Broadcast, SentEvaluations
 from cosim.step.evaluate import Evaluated
@@ -106,7 +106,6 @@ def update_trust(
     The state of trust, and counts of the reports to the server.
     """
     hosts, linkage, senders = parts.trust, parts.linkage, exchange.senders
-    to_server = _upheld(evaluated.sent, exchange.sender, exchange, parts)
     trust = _open_step(trust, exchange, listed, pseudonyms, parts)
     own, vehicle = linkage.messages(pseudonyms, evaluated.own_messages), exchange.sensing.actor
     trust = hosts.add_local(trust, own, vehicle, np.arange(len(vehicle)), of_others=False)
@@ -116,26 +115,31 @@ def update_trust(
     if parts.config.server.uplink == "cellular":
         xy_m = exchange.world.boxes.xyz_m[exchange.vehicles.row[senders.vehicle], :2]
         n_copies = None if exchange.sending is None else exchange.sending.n_reports[senders.vehicle]
-        sent = linkage.messages(pseudonyms, to_server)
+        reports = _reports(evaluated.sent, exchange.sender, exchange, pseudonyms, parts)
         trust, up = hosts.report_by_cellular(
-            trust, sent, senders.key, xy_m, exchange.now.evaluated_s, senders.is_valid, n_copies
+            trust, reports, senders.key, xy_m, exchange.now.evaluated_s, senders.is_valid, n_copies
         )
     return trust, up
 
 
-def _upheld(
-    messages: EvaluationMessages, sender: Int[ndarray, "v"], exchange: Exchange, parts: Parts
-) -> EvaluationMessages:
-    """What the server uses of these evaluations, each message with its `Exchange.sender`.
+def _reports(
+    sent: EvaluationMessages,
+    sender: Int[ndarray, "v"],
+    exchange: Exchange,
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> SentReports:
+    """Reports of evaluations to the server, each with its `Exchange.sender`.
 
     Roadside units are at the server's wire: it knows what they saw before it uses what others say of the same step.
     """
-    if not len(parts.certified):
-        return messages
-    units = np.isin(exchange.vehicles.name_key, parts.certified)
-    is_certified = np.isin(sender >> 16, exchange.vehicles.actor[units])
-    are_claims = len(parts.config.trust.evidence) > 1
-    return upheld(messages, is_certified, exchange.vehicles.pseudonym[units], are_claims)
+    used = sent
+    if len(parts.certified):
+        units = np.isin(exchange.vehicles.name_key, parts.certified)
+        is_certified = np.isin(sender >> 16, exchange.vehicles.actor[units])
+        are_claims = len(parts.config.trust.evidence) > 1
+        used = upheld(sent, is_certified, exchange.vehicles.pseudonym[units], are_claims)
+    return SentReports(parts.linkage.messages(pseudonyms, used), np.diff(sent.ptr))
 
 
 def _open_step(
@@ -181,8 +185,8 @@ def _deliver(
     trust = parts.trust.add_local(trust, sent, holder, row[got.message])
     up = links.uplink.take(row[links.uplink.message] >= 0)
     carrier.heard[which[row[up.message]]] = True
-    sent = parts.linkage.messages(pseudonyms, _upheld(carried.messages, carried.sender, exchange, parts))
-    return parts.trust.report_by_rsu(trust, sent, row[up.message], carrier.begin_s + up.received_s)
+    reports = _reports(carried.messages, carried.sender, exchange, pseudonyms, parts)
+    return parts.trust.report_by_rsu(trust, reports, row[up.message], carrier.begin_s + up.received_s)
 
 
 def deliver_late(
@@ -215,13 +219,13 @@ def deliver_late(
             up = links.uplink.take(is_there[links.uplink.message])
             if not len(up.message):
                 continue
-            named = parts.linkage.messages(pseudonyms, _upheld(sent.messages, sent.sender, exchange, parts))
+            reports = _reports(sent.messages, sent.sender, exchange, pseudonyms, parts)
             of, received_s = row[up.message], carrier.begin_s + up.received_s
             again = carrier.heard[of]  # counted before; the first copy may have been lost in an outage
             new = ~again
-            trust, now = parts.trust.report_by_rsu(trust, named, of[new], received_s[new])
+            trust, now = parts.trust.report_by_rsu(trust, reports, of[new], received_s[new])
             stats = replace(stats, n_reached=stats.n_reached + now.n_reached)
-            trust, _ = parts.trust.report_by_rsu(trust, named, of[again], received_s[again])
+            trust, _ = parts.trust.report_by_rsu(trust, reports, of[again], received_s[again])
             carrier.heard[of] = True
     return trust, stats
 

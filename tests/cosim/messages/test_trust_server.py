@@ -11,6 +11,7 @@ from cosim.messages.trust_server import (
     Downlink,
     DownlinkState,
     LinkStats,
+    SentReports,
     ServerParams,
     TrustBroadcast,
     Uplink,
@@ -25,11 +26,12 @@ def keys(n):
     return np.arange(n, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
 
 
-def messages_of(n, step=0, each=2):
+def reports_of(n, step=0, each=2):
     m = n * each
-    return EvaluationMessages(
+    messages = EvaluationMessages(
         step, np.arange(n), np.arange(n + 1) * each, np.zeros(m, int), np.zeros(m, int), np.ones(m), np.ones(m)
     )
+    return SentReports(messages, np.full(n, each))
 
 
 def arrived(up, state, time_s):
@@ -74,7 +76,7 @@ def test_a_full_cell_drops_messages_beyond_its_capacity():
 def test_reports_arrive_and_are_counted():
     p = ServerParams(cellular=CellularParams(uplink_loss_p=0.2, n_retries=0))
     up = Uplink(p, 3, 1.0)
-    state, stats = up.by_cellular(UplinkState(), messages_of(1000), keys(1000), np.zeros((1000, 2)), 10.0)
+    state, stats = up.by_cellular(UplinkState(), reports_of(1000), keys(1000), np.zeros((1000, 2)), 10.0)
     assert stats.n_reports == 1000 == stats.n_reached + stats.n_lost
     assert stats.n_lost == pytest.approx(200, abs=40)
     assert stats.uplink_bytes == 1000 * (18 + 20 + 8 + 96 + 16 + 2 * 12)
@@ -87,13 +89,23 @@ def test_reports_arrive_and_are_counted():
 
 def test_a_report_without_evaluations_is_not_sent():
     up = Uplink(ServerParams(), 3, 1.0)
-    state, stats = up.by_cellular(UplinkState(), messages_of(5, each=0), keys(5), np.zeros((5, 2)), 0.0)
+    state, stats = up.by_cellular(UplinkState(), reports_of(5, each=0), keys(5), np.zeros((5, 2)), 0.0)
     assert stats == LinkStats() and not arrived(up, state, 9.0)[1]
+
+
+def test_evaluations_that_the_server_will_drop_are_sent():
+    """A trusted roadside unit overrules them at the server; the vehicle that sends them does not know that."""
+    up = Uplink(ServerParams(cellular=CellularParams(uplink_loss_p=0.0)), 3, 1.0)
+    _, all_used = up.by_cellular(UplinkState(), reports_of(5), keys(5), np.zeros((5, 2)), 0.0)
+    dropped = reports_of(5)._replace(used=reports_of(5, each=0).used)
+    state, stats = up.by_cellular(UplinkState(), dropped, keys(5), np.zeros((5, 2)), 0.0)
+    assert stats == all_used and stats.uplink_bytes == 5 * 182
+    assert arrived(up, state, 9.0)[1] == [[0, 1, 2, 3, 4]]
 
 
 def test_capacity_is_counted():
     p = ServerParams(cellular=CellularParams(cell_up_bytes_per_s=1820.0, uplink_loss_p=0.0))  # ten reports of 182 B
-    _, stats = Uplink(p, 3, 1.0).by_cellular(UplinkState(), messages_of(25), keys(25), np.zeros((25, 2)), 0.0)
+    _, stats = Uplink(p, 3, 1.0).by_cellular(UplinkState(), reports_of(25), keys(25), np.zeros((25, 2)), 0.0)
     assert (stats.n_reached, stats.n_over_capacity, stats.n_lost) == (10, 15, 0)
 
 
@@ -101,7 +113,7 @@ def test_the_first_reception_by_a_roadside_unit_counts_once():
     up = Uplink(ServerParams(uplink="rsu", backhaul_s=0.02), 3, 1.0)
     # Message 0 is received by both units, at 5.3 and 5.1 s; 2 by one; 1 by none.
     message, received_s = np.array([0, 2, 0]), np.array([5.3, 5.2, 5.1])
-    state, stats = up.by_rsu(UplinkState(), messages_of(3), message, received_s)
+    state, stats = up.by_rsu(UplinkState(), reports_of(3), message, received_s)
     assert (stats.n_reports, stats.n_reached, stats.n_lost) == (3, 2, 1)
     assert not arrived(up, state, 5.119)[1]
     state, here = arrived(up, state, 5.12)
@@ -120,13 +132,13 @@ def test_no_uplink_during_an_outage():
         up, state = Uplink(p, 3, 1.0), UplinkState()
         for time_s in (5.0, 10.0, 15.0, 19.0, 20.0):
             if way == "cellular":
-                state, stats = up.by_cellular(state, messages_of(4), keys(4), np.zeros((4, 2)), time_s)
+                state, stats = up.by_cellular(state, reports_of(4), keys(4), np.zeros((4, 2)), time_s)
             else:
-                state, stats = up.by_rsu(state, messages_of(4), np.arange(4), np.full(4, time_s + 0.1))
+                state, stats = up.by_rsu(state, reports_of(4), np.arange(4), np.full(4, time_s + 0.1))
             out = 10 <= time_s < 20
             assert (stats.n_reached, stats.n_outage) == ((0, 4) if out else (4, 0))
     up = Uplink(ServerParams(outages=((10.0, 20.0),)), 3, 1.0)
-    _, stats = up.by_cellular(UplinkState(), messages_of(100), keys(100), np.zeros((100, 2)), 9.9)
+    _, stats = up.by_cellular(UplinkState(), reports_of(100), keys(100), np.zeros((100, 2)), 9.9)
     assert stats.n_outage > 0 and stats.n_reached > 0  # some are under way when it begins
 
 
