@@ -25,7 +25,7 @@ from cosim.messages.trust_server import TrustBroadcast
 from cosim.radio.message_round import LinkReceptions, MessageRound, Messages, RoundKind
 from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Exchange, OnAir, Senders
-from cosim.step.late import LateMessages
+from cosim.step.late import LateMessages, not_accepted
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
 from cosim.step.sense import Positioned
@@ -137,12 +137,12 @@ def _broadcast(
 
 
 def _names(exchange: Exchange) -> Int[ndarray, "m"]:
-    """The sender of each message, by which it is known if it arrives late; -1 for those that are not accepted.
+    """The sender of each message, by which it is known if it arrives late.
 
-    Messages of roadside units follow.
+    Messages of roadside units follow; they are -1.
     """
-    accepted = np.where(exchange.senders.is_valid, exchange.sender, -1)
-    return np.append(accepted, np.full(exchange.n_rsus, -1))
+    name = np.where(exchange.senders.is_valid, exchange.sender, not_accepted(exchange.sender))
+    return np.append(name, np.full(exchange.n_rsus, -1))
 
 
 def _accepted(links: LinkReceptions, senders: Senders) -> LinkReceptions:

@@ -24,23 +24,32 @@ class LateMessages:
     """Step in which each message was sent."""
     sender: Int[ndarray, "m"]
     """As `Exchange.sender`; -1 for roadside units and for senders whose messages are not accepted."""
+    author: Int[ndarray, "m"]
+    """The same, but also of senders whose messages are not accepted: they are received, and then dropped."""
     round: MessageRound
     links: LinkReceptions
 
     @staticmethod
     def of(earlier: EarlierMessages, n_vehicles: int) -> "LateMessages":
         """From the result of a round; the first `n_vehicles` stations are vehicles."""
-        return LateMessages(earlier.kind, earlier.step, earlier.name, earlier.round, by_link(earlier.round, n_vehicles))
+        name, links = earlier.name, by_link(earlier.round, n_vehicles)
+        author = np.where(name < -1, not_accepted(name), name)
+        return LateMessages(earlier.kind, earlier.step, name.clip(-1), author, earlier.round, links)
 
     def pairs(self) -> tuple[Int[ndarray, "r"], Int[ndarray, "r"]]:
-        """For each reception by a vehicle of an accepted message: actor number of the sender, row of the receiver."""
-        found = self.accepted()
-        return self.sender[found.message] >> 16, found.receiver
+        """For each reception of a vehicle's message by a vehicle: actor number of the sender, row of the receiver."""
+        found = self.of_vehicles()
+        return self.author[found.message] >> 16, found.receiver
 
-    def accepted(self) -> Receptions:
-        """Receptions by vehicles, of accepted messages: in the order of `pairs`."""
+    def of_vehicles(self) -> Receptions:
+        """Receptions by vehicles of the messages of vehicles: in the order of `pairs`."""
         found = self.links.vehicles
-        return found.take(self.sender[found.message] >= 0)
+        return found.take(self.author[found.message] >= 0)
+
+
+def not_accepted(name: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
+    """Name on the air of a message whose sender is not accepted, from `Exchange.sender`; and the other way round."""
+    return -2 - name
 
 
 def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKind) -> list[Receptions]:

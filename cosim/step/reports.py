@@ -231,10 +231,10 @@ def deliver_late(
 
 
 def late_pseudonyms(late: LateMessages, carried: Sequence[EvaluationCarriers]) -> Int[ndarray, "m"]:
-    """Pseudonym that each of these messages carries; -1 for those of roadside units and of senders not accepted."""
-    pseudonym = np.full(len(late.sender), -1)
+    """Pseudonym that each of these messages carries; -1 for those of roadside units."""
+    pseudonym = np.full(len(late.author), -1)
     for carrier in carried:
-        row, is_there = rows_of(late.sender, carrier.sender)
+        row, is_there = rows_of(late.author, carrier.sender)
         is_there &= late.step == carrier.step
         pseudonym[is_there] = carrier.pseudonym[row[is_there]]
     return pseudonym

@@ -68,10 +68,10 @@ def _track_round(
     step = exchange.now.step
     late = late_of(rounds, kind)
     if late:  # a message that arrives late counts in the step in which it arrives
-        accepted = [messages.accepted() for messages in late]
-        sent_in = [messages.step[found.message] for messages, found in zip(late, accepted, strict=True)]
+        of_vehicles = [messages.of_vehicles() for messages in late]
+        sent_in = [messages.step[found.message] for messages, found in zip(late, of_vehicles, strict=True)]
         arrived = np.concatenate([_codes(actor, messages) for messages in late])
-        is_direct = np.concatenate([found.hops == 1 for found in accepted])
+        is_direct = np.concatenate([found.hops == 1 for found in of_vehicles])
         is_earlier = np.concatenate(sent_in) < step
         row, is_there = rows_of(arrived, pair)
         got[row[is_there]] = True
@@ -125,7 +125,7 @@ def without_late_copies(rounds: Rounds, exchange: Exchange, inbox: Inbox) -> Rou
 def _numbers(messages: LateMessages, exchange: Exchange, inbox: Inbox) -> Int[ndarray, "m"]:
     """A number for each message: its row in the inbox, behind which follow those of this step; -1 if unknown."""
     row, is_earlier = inbox.rows(messages.step, messages.sender)
-    now, is_now = rows_of(messages.sender, exchange.sender)
+    now, is_now = rows_of(messages.author, exchange.sender)
     is_now &= messages.step == exchange.now.step
     row = np.where(is_now, len(inbox.step) + now, row)
     return np.where(is_now | is_earlier, row, -1)
@@ -149,7 +149,7 @@ def _first_receptions(
 ) -> tuple[Int[ndarray, "k"], Int[ndarray, "c"]]:
     """Rows of receptions that are no copies, and the numbers of those of known messages, as in `_received`.
 
-    Receptions of unknown messages, such as those that are not accepted, are kept as they are.
+    Receptions of unknown messages, such as earlier ones that are not accepted, are kept as they are.
     """
     received = messages.links.vehicles
     of_message = number[received.message]

@@ -64,14 +64,28 @@ def test_only_receptions_that_are_not_held_are_added():
     assert len(_with_new(nobody, more, 30).receiver) == len(pairs[1])
 
 
-def test_what_roadside_units_hear_and_say_more_than_once_counts_once(tmp_path):
-    """Forwarded copies of a report reach several units in several rounds; those of a broadcast, a vehicle."""
+@pytest.fixture(scope="module")
+def with_units(tmp_path_factory):
+    """A run with roadside units, forwarding, and vehicles whose messages are dropped because they are revoked."""
     sets = (
         *("traffic.step_s=0.2", "sensing_phase=random", "traffic.duration_s=4", "traffic.warmup_s=120"),
         *("trust.server_period_s=1", "radio.relay.max_hops=3", "server.uplink=rsu", "rsu.n_at_junctions=6"),
+        *("pseudonyms.revocation=immediate", "pseudonyms.revoke_below=0.3", "pseudonyms.min_evaluations=1"),
     )
-    run = open_run(drive(tmp_path / "run", "record.level=full", *sets))
-    server = run.server
+    return open_run(drive(tmp_path_factory.mktemp("units") / "run", "record.level=full", *sets))
+
+
+def test_messages_of_revoked_senders_are_received_late_too(with_units):
+    """Receivers drop them; they are rows of `receptions` all the same, as those that arrive in their own round are."""
+    got, refused = with_units.receptions, with_units.pseudonyms.set_index("pseudonym").refused_step
+    late = got[got.message_step < got.step]
+    assert (late.message_step >= late.sender.map(refused)).sum() > 20
+    assert with_units.vehicle_channel.n_received.sum() == with_units.latency_histogram.n_delivered.sum() == len(got)
+
+
+def test_what_roadside_units_hear_and_say_more_than_once_counts_once(with_units):
+    """Forwarded copies of a report reach several units in several rounds; those of a broadcast, a vehicle."""
+    run, server = with_units, with_units.server
     assert server.n_late.sum() > 20
     assert (server.n_reached + server.n_late).sum() <= server.n_reports.sum()
     used = run.trust_lookups[run.trust_lookups.source == "server"]
