@@ -1,7 +1,8 @@
 """Metrics that users write: their interface, and the table of their values."""
 
+import sys
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
@@ -41,26 +42,42 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 """Of a table of metrics."""
 
 
-def check_own(table: pd.DataFrame, place: str) -> pd.DataFrame:
-    """Rows of a user's metrics; ValueError if a study cannot average them over replicates.
+def is_value(value: Any) -> bool:
+    """Whether a value can be shown and averaged: a finite number, or NaN if there is none."""
+    is_number = isinstance(value, int | float | np.integer | np.floating)
+    return is_number and not isinstance(value, bool) and not abs(value) > sys.float_info.max
+
+
+def check_own(table: Any, place: str) -> pd.DataFrame:
+    """Rows of a user's metrics, in the columns of `MetricRow`; ValueError if a study cannot average them.
 
     Parameters
     ----------
     table
-        Columns metric and group, of one run.
+        What the function returned for one run.
     place
         What named the metrics, for the message.
     """
+    columns = list(MetricRow._fields)
+    if not isinstance(table, pd.DataFrame) or not set(columns) <= set(table.columns):
+        raise ValueError(f"{place}: it must return a DataFrame with the columns {', '.join(columns)}.")
+    table = table[columns]
+    texts = table.drop(columns="value")
+    if not texts.map(lambda text: isinstance(text, str)).all(axis=None):
+        raise ValueError(f"{place}: a value of {', '.join(texts.columns)} is no text. Return texts there.")
+    for value in table.value.tolist():
+        if not is_value(value):
+            raise ValueError(f"{place}: value = {repr(value)[:40]} is no finite number. Return NaN if there is none.")
     if included := [name for name in table.metric if name in METRICS]:
         raise ValueError(f"{place}: {included[0]} is a metric that cosim has. Give yours another name.")
-    n = table.groupby(["metric", "group"], sort=False, dropna=False).size()
+    n = table.groupby(["metric", "group"], sort=False).size()
     if (n > 1).any():
         metric, group = n.index[n > 1][0]
         of = f'{metric} and group "{group}"' if group else str(metric)
         raise ValueError(
             f"{place}: {n.max()} rows of {of} in one run would count as replicates. Return one row, or name groups."
         )
-    return table
+    return table.astype({"value": float})
 
 
 def measure_own(run: Run, metrics: Sequence[OwnMetric]) -> pd.DataFrame:

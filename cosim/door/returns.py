@@ -450,18 +450,23 @@ def _is_tuple_of(value: Any, of: type) -> bool:
 
 def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
     """The rows of a metric."""
-    from results.own_metrics import MetricRow
+    from results.metrics.registry import METRICS
+    from results.own_metrics import MetricRow, is_value
 
     if not isinstance(returned, list | tuple):
         raise Wrong(f"returned {described(returned)}", "a list of MetricRow")
     for number, row in enumerate(returned):
         if not isinstance(row, MetricRow):
             raise Wrong(f"returned row {number} as {described(row)}", "a MetricRow(metric=..., value=...)")
-        if not _is_number(row.value):
-            raise Wrong(f"returned value = {row.value!r} in row {number}", "a number (NaN if there is none)")
+        if not is_value(row.value):
+            raise Wrong(
+                f"returned value = {repr(row.value)[:40]} in row {number}", "a finite number (NaN if there is none)"
+            )
         texts = row.metric, row.group, row.unit, row.label
         if not _is_tuple_of(texts, str) or not row.metric:
             raise Wrong(f"returned row {number} with a wrong text", "a text as metric, group, unit and label")
+        if row.metric in METRICS:
+            raise Wrong(f"returned {row.metric}, a metric that cosim has", "another name")
     keys = [(row.metric, row.group) for row in returned]
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)

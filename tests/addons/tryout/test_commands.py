@@ -15,6 +15,14 @@ KINDS = ("trust", "attack", "policy", "medium", "detector", "driver", "exporter"
 FOLDER = Path(templates.__file__).parent
 
 
+OWN = """
+from cosim.extend import MetricRow
+
+class Own:
+    def rows(self, run): return [MetricRow("{name}", {value})]
+"""
+
+
 def call(*words):
     """What a command prints; its exit status and the error that it ends with."""
     done = CliRunner().invoke(app, [str(word) for word in words])
@@ -88,6 +96,11 @@ def test_an_own_metric_is_measured(tmp_path, run):
     ]
     (rows,) = json.loads(call("measure", run, "--metric", name, "--set", "least_mps=3.0", "--json")[0]).values()
     assert rows == []
+    for wrong in ("float('inf')", "10**400"):
+        (tmp_path / "own.py").write_text(OWN.format(name="own.x", value=wrong))
+        assert "but a finite number" in str(call("measure", run, "--metric", f"{tmp_path / 'own.py'}:Own")[2])
+    (tmp_path / "own.py").write_text(OWN.format(name="trust.final.median", value=1))
+    assert "a metric that cosim has" in str(call("measure", run, "--metric", f"{tmp_path / 'own.py'}:Own")[2])
     nothing = CliRunner().invoke(app, ["measure", str(run), "--metric", "encounters.n"])
     assert nothing.stderr == f"note: {run} has no value of encounters.n.\n"
     assert "least_mps" in str(call("measure", run, "--metric", name, "--set", "last_mps=3.0")[2])

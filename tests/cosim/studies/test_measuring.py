@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -28,6 +29,7 @@ own = "own.py:metrics"
 """
 
 OWN = """
+import numpy as np
 import pandas as pd
 
 
@@ -105,16 +107,32 @@ def test_runs_that_were_measured_otherwise_are_not_averaged(folder):
         open_study(folder / "out").measures  # noqa: B018
 
 
-def table(*rows):
-    return pd.DataFrame(rows, columns=["metric", "group"])
+def table(*rows, value=1.0):
+    return pd.DataFrame(rows, columns=["metric", "group"]).assign(value=value, unit="s", label="")
 
 
 def test_rows_of_own_metrics_are_not_taken_for_replicates_nor_for_metrics_of_cosim():
     right = table(("mine.x", "cars"), ("mine.x", "buses"), ("mine.y", ""))
-    assert check_own(right, "measure.own = own.py:metrics") is right
+    assert check_own(right.assign(replicate=7), "own")[[*right]].equals(right), "no further columns"
     with pytest.raises(ValueError, match=r"^own: 2 rows of mine.x in one run would count as replicates\. "):
         check_own(table(("mine.x", ""), ("mine.x", "")), "own")
     with pytest.raises(ValueError, match=r'^own: 2 rows of mine.x and group "cars" in one run '):
         check_own(table(("mine.x", "cars"), ("mine.x", "cars")), "own")
     with pytest.raises(ValueError, match=r"^own: encounters.n is a metric that cosim has\. Give yours another name\.$"):
         check_own(table(("encounters.n", "equipped, 100 m")), "own")
+
+
+def test_own_metrics_that_are_no_table_of_numbers_and_texts_are_refused_before_they_are_stored():
+    """A text or a missing group was stored, and then called damage of the study's folder; a None was a traceback."""
+    for returned in (None, [("mine.x", 1.0)], table(("mine.x", "")).drop(columns="group")):
+        with pytest.raises(
+            ValueError, match=r"^own: it must return a DataFrame with the columns metric, value, group,"
+        ):
+            check_own(returned, "own")
+    for value in ("3.0", None, True, np.inf, 10**400):
+        with pytest.raises(ValueError, match=r"^own: value = .* is no finite number\. Return NaN if there is none\.$"):
+            check_own(table(("mine.x", ""), value=value), "own")
+    with pytest.raises(ValueError, match=r"^own: a value of metric, group, unit, label is no text\."):
+        check_own(table(("mine.x", np.nan)), "own")
+    assert check_own(table(("mine.x", ""), value=np.nan), "own").value.isna().all()
+    assert check_own(table(), "own").empty
