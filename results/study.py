@@ -404,7 +404,7 @@ def _there(frame: pd.DataFrame, metric: str) -> str:
         return f"Its groups are {'; '.join(groups)}: write {metric}:{groups[0]}."
     names = sorted(frame.metric.unique())
     alike = [name for name in names if name.startswith(metric.partition(".")[0] + ".")]
-    return f"It has {', '.join(alike or names)}."
+    return f"It has {', '.join(alike or names) or 'no values at all'}."
 
 
 def are_words(values: pd.Series) -> bool:

@@ -66,7 +66,7 @@ def lines(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
     keys
         Swept keys. Those that make no difference to a warning are not named.
     """
-    found = frame.assign(**frame.note.str.extract(_OF_MEAN))
+    found = frame.assign(**frame.note.astype(str).str.extract(_OF_MEAN))
     alike: dict[tuple[str, str], list[pd.DataFrame]] = {}
     for _, of_metric in found.groupby("metric", sort=False):
         for units, rows in of_metric.groupby("units"):

@@ -67,9 +67,9 @@ def pivot(
     Returns
     -------
     A column for each value of `over`, after the metric with its unit, its group, and the other keys on which it
-    depends. A key on which a metric does not depend is empty in its rows. Columns that are the same in all rows are
-    left out. `attrs` holds the key of the columns (`over`), and the labels of metrics that have values elsewhere alone
-    (`missing`).
+    depends. A key on which a metric does not depend is empty in its rows. Keys that are the same in all rows are left
+    out, and so are groups that say no more than "all". `attrs` holds the key of the columns (`over`), and the labels of
+    metrics that have values elsewhere alone (`missing`).
 
     Raises
     ------
@@ -107,7 +107,9 @@ def pivot(
             cells = {said(of[over]): cell(of) for of in one.to_dict("records")}
             rows.append(row | {head: cells.get(head, "") for head in heads})
     table = pd.DataFrame(rows, columns=["", "group", *others, *heads])
-    constant = [name for name in ("group", *others) if table[name].nunique() < 2]
+    constant = [name for name in others if table[name].nunique() < 2]
+    if set(table.group) <= {"", "all"}:  # any other group says of whom the values are
+        constant.append("group")
     table = table.drop(columns=constant)
     table.attrs |= {"over": over, "missing": [label for label in elsewhere if label not in here]}
     return table

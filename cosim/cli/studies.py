@@ -268,6 +268,9 @@ def _has(frame, name: str) -> bool:
 def _print_pivot(study, title: str, found) -> None:
     from results.study import short_keys
 
+    if found.empty:
+        screen.print(f"{title}: no metric has a value", soft_wrap=True)
+        return
     short = short_keys(study.keys)
     heads = [Column(short.get(name, name), overflow="fold") for name in found]
     table = Table(*heads, title=f"{title}; columns: {found.attrs['over']}", title_justify="left", box=None)

@@ -121,6 +121,19 @@ def test_five_keys_are_reported(tmp_path):
         study_table.pivot(study, study.summary, study_table.core(study), over="radio.range_m")
 
 
+def test_a_table_says_of_whom_its_values_are_where_it_has_one_group_alone(tmp_path):
+    """Differences of trust in honest vehicles had no word "honest": malicious ones have none to a baseline without."""
+    swept = {key: SWEPT[key] for key in ("fleet.penetration_p", "trust.model")}
+    study = study_of(tmp_path, swept)
+    named = [f"{metric}:{group}" for metric, group in MEASURED]
+    of_one = study_table.pivot(study, study.summary, named[2:])
+    assert of_one.group.unique().tolist() == ["malicious"]
+    assert "group" not in study_table.pivot(study, study.summary, named[1:2]), "all"
+    nothing = study_table.pivot(study, study.summary, [])
+    assert nothing.empty
+    assert not study_table.cautions(study, study.summary.iloc[:0].assign(note=np.nan), [])
+
+
 def test_a_key_that_changes_nothing_stands_for_runs_that_are_missing(tmp_path):
     """Without attackers the runs at 0.3 failed. Those with attackers have the same encounters: 16.01, not nothing."""
 
