@@ -406,6 +406,9 @@ def _is_wide(found: Sequence[Any]) -> bool:
 def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
     found = distinct(values)
+    places = found if values.dtype.kind == "f" else range(len(found))
+    axes.update_datalim([(place, 0.0) for place in places], updatey=False)  # also those without a value in this panel
+    axes.autoscale_view(scaley=False)
     if values.dtype.kind != "f":
         words = [said(v) for v in found]
         is_long = sum(map(len, words)) > _MOST_LETTERS

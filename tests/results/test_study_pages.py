@@ -134,6 +134,18 @@ def test_a_table_says_of_whom_its_values_are_where_it_has_one_group_alone(tmp_pa
     assert not study_table.cautions(study, study.summary.iloc[:0].assign(note=np.nan), [])
 
 
+def test_a_point_at_the_edge_of_a_panel_is_not_cut(tmp_path):
+    """Without attackers there is no AUC: the ticks of the share then ended the panel in the middle of the markers."""
+    swept = {key: SWEPT[key] for key in ("attacks.0.share_p", "trust.model")}
+    study = study_of(tmp_path, swept, measured=MEASURED[2:])
+    figure = study_figure.draw(study, "", ["misbehaviour.at_lookup.auc:malicious"])
+    (axes,) = figure.axes
+    left, right = axes.get_xlim()
+    last = max(axes.containers[-1].lines[0].get_xdata())
+    assert left < 0.0
+    assert right > 1.01 * last > 0.1
+
+
 def test_a_key_that_changes_nothing_stands_for_runs_that_are_missing(tmp_path):
     """Without attackers the runs at 0.3 failed. Those with attackers have the same encounters: 16.01, not nothing."""
 
