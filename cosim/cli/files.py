@@ -34,7 +34,7 @@ def refuse_other_than_config(path: Path | None) -> None:
 def refuse_other_than_study(path: Path) -> None:
     """Raise ValueError, which names the right command, if a file is known to be no study."""
     refuse_traffic(path)
-    if path.suffix == ".toml" and path.is_file() and not is_study_file(path):
+    if path.suffix == ".toml" and path.is_file() and not _OF_A_STUDY & read_toml(path, "study file").keys():
         given = shlex.quote(str(path))
         raise ValueError(
             f"{path} is the config of one run: it has no [grid]. Run it with: cosim run {given}. Begin a study with: "

@@ -329,12 +329,12 @@ def measure(
     import pandas as pd
 
     from cosim.cli.own_metrics import own_metrics, refuse_other_groups, split_metrics, with_metrics
-    from cosim.cli.side_by_side import of_variants, print_measures, remarks
+    from cosim.cli.side_by_side import print_measures, remarks
     from results.measure import measure as all_metrics
 
     own, shipped = split_metrics(metrics or [])
     measured = own_metrics(own, sets or [])
-    chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
+    chosen = _chosen(runs, variant)
     topics = [re.split("[:.]", name)[0] for name in shipped]
     given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
@@ -355,6 +355,17 @@ def measure(
     for remark in remarks(chosen):
         notes.print(remark, soft_wrap=True)
     _say_damage(chosen)
+
+
+def _chosen(folders: list[Path], variant: str) -> "list[Run]":
+    """The runs in these folders as one of their trust variants; ValueError if a folder is named twice."""
+    from cosim.cli.side_by_side import of_variants
+
+    paths = [folder.resolve() for folder in folders]
+    for folder, path in zip(folders, paths, strict=True):
+        if paths.count(path) > 1:
+            raise ValueError(f"{folder} is named twice. Name each run once.")
+    return [one for folder in folders for one in of_variants(_opened(folder), variant)]
 
 
 @app.command()
@@ -405,26 +416,23 @@ def plot(
         raise ValueError("--over, --by, --metric and --where go with a study, and this is a run. Leave them out.")
     from inspect import signature
 
-    from cosim.cli.side_by_side import of_variants
     from results.figures.catalogue import FIGURES
 
-    chosen: list[Run] = []
-    if what not in FIGURES:
-        draw_of_addon = hook(f"plot {what}", f"cosim plot {what}")
-        path = draw_of_addon([*map(_opened, runs)], vehicles or [], step, out)
+    is_of_addon = what not in FIGURES  # sweep, scene and movie, which take vehicles and a step
+    if step is not None and not is_of_addon:
+        raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
+    options = {"vehicles": vehicles, "radius_m": radius_m, "pairs": pairs}
+    given = {name: value for name, value in options.items() if value not in (None, [])}
+    for name in given:
+        takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
+        if what not in takers and not (is_of_addon and name == "vehicles"):
+            flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
+            named = " or ".join(takers)
+            raise ValueError(f"--{flag} goes with `cosim plot {named}`, not with {what}. Leave it out.")
+    chosen = _chosen(runs, variant)
+    if is_of_addon:
+        path = hook(f"plot {what}", f"cosim plot {what}")(chosen, vehicles or [], step, out)
     else:
-        if step is not None:
-            raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
-        options = {"vehicles": vehicles, "radius_m": radius_m, "pairs": pairs}
-        given = {name: value for name, value in options.items() if value}
-        for name in given:
-            takers = [figure for figure, draw in FIGURES.items() if name in signature(draw).parameters]
-            if what not in takers:
-                flag = "vehicle" if name == "vehicles" else name.replace("_", "-")
-                raise ValueError(
-                    f"--{flag} goes with `cosim plot {' or '.join(takers)}`, not with {what}. Leave it out."
-                )
-        chosen = [one for folder in runs for one in of_variants(_opened(folder), variant)]
         drawn = FIGURES[what](chosen, **given)
         path = style.save(drawn, out or runs[0] / f"{what}.png")
     screen.print(f"wrote {path}", soft_wrap=True)

@@ -363,10 +363,17 @@ def sparse(n: int, about: int = 10) -> int:
 
 
 def variants_of(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
-    """Every run as each of its trust variants, and what these are called."""
+    """Every run as each of its trust variants, each once, and what these are called.
+
+    A run that was chosen as a variant other than its base stands for this one alone.
+    """
     need(runs)
-    variants = [run.as_variant(name) for run in runs for name in run.variants]
-    if len(runs) == 1:
+    found = {}
+    for run in runs:
+        for name in run.variants if run.variant == BASE_VARIANT else (run.variant,):
+            found[run.path, name] = run.as_variant(name)
+    variants = list(found.values())
+    if len({run.path for run in runs}) == 1:
         return variants, [run.variant for run in variants]
     return variants, names(variants)
 

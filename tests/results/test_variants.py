@@ -7,6 +7,7 @@ import pytest
 
 from cosim.base.codes import Role, labels
 from results.archive import open_run
+from results.figures import style
 from results.manifest import finish
 from results.recorder import Recorder
 from tests.results.tiny import columns, fleet
@@ -59,6 +60,13 @@ def test_metrics_are_of_one_variant(run):
     assert np.isnan(run.measure.value("trust.final.mean", "malicious"))  # a role of the run, without a vehicle
     with pytest.raises(ValueError, match=r"no trust variant 'long'\. It has base, short_window"):
         run.as_variant("long")
+
+
+def test_figures_of_all_variants_draw_each_once_and_a_chosen_one_alone(run):
+    """With `--variant NAME` they drew all of them, and with `--variant all` each as often as there are variants."""
+    chosen = run.as_variant("short_window")
+    assert style.variants_of([run])[1] == style.variants_of([run, chosen])[1] == list(VARIANTS)
+    assert style.variants_of([chosen])[1] == ["short_window"]
 
 
 def test_columns_that_are_not_on_disk_can_choose_rows_of_one_variant(run):

@@ -139,6 +139,9 @@ FOOTPATH = NET + (
         (["plot", "trust", "full"], "is not a run"),
         (["resume", "study"], "study is a study. Continue it with: cosim sweep"),
         (["plot", "love", "full"], "love"),
+        (["plot", "scene", "full", "--radius-m", "100"], "goes with `cosim plot durations or map`"),
+        (["measure", "full", "./full"], "full is named twice"),
+        (["sweep", "file.toml", "--out", "x"], "file.toml: not valid TOML"),
     ],
 )
 def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
@@ -148,7 +151,7 @@ def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
         "lost.sumocfg": '<configuration><input><net-file value="gone.net.xml"/></input></configuration>',
         "refused.sumocfg": '<configuration><input><net-file value="car.net.xml"/></input></configuration>',
         "car.net.xml": FOOTPATH.replace('allow="pedestrian" ', "").replace('to="b"', 'to="missing"'),
-        "file": "", "full/something": "", "study/index.parquet": "", "taken/manifest.json": "{}",
+        "file": "", "file.toml": "[grid", "full/something": "", "study/index.parquet": "", "taken/manifest.json": "{}",
     }.items():  # fmt: skip
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
