@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -28,7 +28,7 @@ from cosim.traffic.fcd import is_observed, timesteps
 from cosim.traffic.interpolation import interval_s
 from cosim.traffic.params import TrafficParams
 from cosim.traffic.replay import TraceReplay
-from cosim.traffic.scenario import Scenario, find
+from cosim.traffic.scenario import find
 from cosim.traffic.source import TrafficEnded, TrafficError, class_counts
 from cosim.world import World
 from results.archive import open_run
@@ -160,22 +160,18 @@ def _of_run(paths: Sequence[Path], params: ContactParams, out: Path | None, adva
     run = open_run(paths[0])
     if len(paths) > 1:
         raise ValueError(f"{paths[1]}: contacts of one run at a time, and {paths[0]} is a run.")
-    run.require("actors", "vehicles")
-    recorded = of_run_without_code(run.manifest["config"], paths[0])
-    named = str(paths[0])
-    scenario = find(named) if params.scenario is None else find(params.scenario, named)
-    traffic = TrafficParams(scenario=named, step_s=params.step_s or run.dt_s)
     if params.from_s is not None or params.to_s is not None:
         raise ValueError("--from and --to go with a trace, and this is a run. Leave them out.")
-    equipment = params.config or recorded
-    return _of_traffic(scenario, traffic, equipment, recorded, params, paths, out, advance, 0.0)
+    run.require("actors", "vehicles")
+    recorded = of_run_without_code(run.manifest["config"], paths[0])
+    traffic = TrafficParams(scenario=str(paths[0]), step_s=params.step_s or run.dt_s)
+    return _of_traffic(paths[0], traffic, recorded, params, out, advance)
 
 
 def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, advance: Advance) -> Path:
     if len(paths) > 1:
         raise ValueError(f"{paths[1]}: one trace of SUMO's at a time. Count contacts of each in its own command.")
     named = str(paths[0])
-    scenario = find(named) if params.scenario is None else find(params.scenario, named)
     first_s, between_s = _first_and_interval_s(paths[0])
     step_s = params.step_s or between_s
     traffic = TrafficParams(scenario=params.scenario or named, trace=named, step_s=step_s, begin_s=params.from_s)
@@ -187,7 +183,7 @@ def _of_sumo(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
         if params.to_s < first_s:
             raise TrafficError(f"{named} begins at {first_s:g} s, after --to {params.to_s:g}. Set --to later.")
         params = replace(params, from_s=first_s)
-    return _of_traffic(scenario, traffic, params.config or Config(), Config(), params, paths, out, advance, skipped_s)
+    return _of_traffic(paths[0], traffic, Config(), params, out, advance, skipped_s)
 
 
 def _first_and_interval_s(path: Path) -> tuple[float, float]:
@@ -199,52 +195,60 @@ def _first_and_interval_s(path: Path) -> tuple[float, float]:
 
 
 def _of_traffic(
-    scenario: Scenario,
+    path: Path,
     traffic: TrafficParams,
-    equipment: Config,
-    beside: Config,
+    config: Config,
     params: ContactParams,
-    paths: Sequence[Path],
     out: Path | None,
     advance: Advance,
-    skipped_s: float,
+    skipped_s: float = 0.0,
 ) -> Path:
-    """Count encounters of worlds, as a run does; `skipped_s` skips the empty world before a trace.
+    """Count encounters of worlds, as a run does.
 
-    Trees, parked cars and objects are those of the config `beside`, placed by its seed.
+    Parameters
+    ----------
+    path
+        The run, or the trace of SUMO.
+    config
+        Trees, parked cars and objects, placed by its seed; and the equipment, if `params` has none.
+    skipped_s
+        Length of what is skipped: the empty world before a trace.
     """
-    wants_los = any(p.pairs in ("los", "all_los") for p in params.encounters)
-    if wants_los and scenario.net is None:
+    named = str(path)
+    scenario = find(named) if params.scenario is None else find(params.scenario, named)
+    needs_city = any(p.pairs in ("los", "all_los") for p in params.encounters)
+    if needs_city and scenario.net is None:
         raise ValueError(
             'encounters.pairs = "los" needs the buildings of a city, and a trace alone has none. Set --scenario.'
         )
+    equipment = params.config or config
     registry = ActorRegistry(equipment.fleet, equipment.seed)
-    city = scenario.city(beside.trees, beside.seed)
-    parked = scenario.parked(beside.parked, city, beside.seed)
-    replayed = scenario.traffic(traffic, registry, objects=beside.objects, parked=parked)
+    city = scenario.city(config.trees, config.seed)
+    parked = scenario.parked(config.parked, city, config.seed)
+    replayed = scenario.traffic(traffic, registry, objects=config.objects, parked=parked)
+    n_asked, appearance = _steps_asked(params, traffic.step_s), params.appearance or "ends"
     try:
         for _ in replayed.warm_up(skipped_s):
             pass
         mount_m = equipment.lidar.mount_above_roof_m
         search = PairSearch.of(params.encounters, WallIndex.of(city.buildings), mount_m, city).without(parked)
-        worlds = _worlds(replayed, _steps_asked(params, traffic.step_s) or math.inf)
+        worlds = _worlds(replayed, n_asked or math.inf)
         extent = _Extent()
         first = next(worlds, None)
         if first is None:
-            raise TrafficError(f"{paths[0]}: there is nothing to count: no actor is on the road in the time given.")
-        with _Folder(out, scenario.name, params, traffic.step_s, params.appearance or "ends") as counted:
+            raise TrafficError(f"{path}: there is nothing to count: no actor is on the road in the time given.")
+        with _counting(out, scenario.name, params, traffic.step_s, appearance) as counted:
             for step, world in chain([first], worlds):
                 near = search(world)
                 extent.add(world, search.parked_key)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
                 counted.add(step, closed, len(near.present))
-                n_steps = max(step + 1, _steps_asked(params, traffic.step_s))
-                advance("contacts", step + 1, n_steps, f"{len(world)}")
+                advance("contacts", step + 1, max(step + 1, n_asked), f"{len(world)}")
             is_parked = np.isin(registry.name_key, search.parked_key)
             counted.report |= replayed.report() | extent.report(registry.shape[~is_parked])
             counted.close(_vehicles(registry))
-            about = {"layout": "run" if paths[0].is_dir() else "sumo", "appearance": params.appearance or "ends"}
-            _finish(counted, scenario.name, paths, params, traffic.step_s, about, scenario.provenance())
+            about = {"layout": "run" if path.is_dir() else "sumo", "appearance": appearance}
+            _finish(counted, scenario.name, [path], params, traffic.step_s, about, scenario.provenance())
     finally:
         replayed.close()
     return counted.folder
@@ -334,13 +338,15 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
     name = _plain_name(paths[0])
     number, rows = _vehicles_of(fixes, found)
     on_foot = rows["vehicle_class"] == Shape.PEDESTRIAN
-    with _Folder(out, name, params, step_s, appearance, max(_BLOCK_STEPS, found.n_steps // 200)) as counted:
+    block_steps = max(_BLOCK_STEPS, found.n_steps // 200)
+    with _counting(out, name, params, step_s, appearance, block_steps) as counted:
         for here in tracks.steps(fixes, found, step_s):
             closed = []
             for tracker, p in zip(counted.trackers, params.encounters, strict=True):
                 vehicle = number[here.track]
                 use = np.argsort(vehicle)
-                use = use if p.pedestrians else use[~on_foot[vehicle[use]]]
+                if not p.pedestrians:
+                    use = use[~on_foot[vehicle[use]]]
                 present = vehicle[use]
                 a, b, distance_m = _near(present, here.xy_m[use], p.radius_m)
                 is_los = np.ones(len(a), bool)
@@ -404,34 +410,25 @@ def _near(
     return number[a], number[b], distance_m
 
 
-class _Folder:
-    """The folder that is written, or nothing at all if something goes wrong."""
-
-    def __init__(
-        self,
-        out: Path | None,
-        name: str,
-        params: ContactParams,
-        step_s: float,
-        appearance: Appearance,
-        block_steps: int = _BLOCK_STEPS,
-    ) -> None:
-        self._out, self._name, self._block_steps = out, name, block_steps
-        self._trackers = tuple(EncounterTracker(p, step_s, appearance=appearance) for p in params.encounters)
-
-    def __enter__(self) -> _Counted:
-        self._folder = run_folder.create(self._out, self._name)
-        self._counted = _Counted(
-            self._folder.path, Recorder(self._folder.path, "summary", self._block_steps), self._trackers
-        )
-        return self._counted
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if error is None:
-            self._folder.release()
-            return
+@contextmanager
+def _counting(
+    out: Path | None,
+    name: str,
+    params: ContactParams,
+    step_s: float,
+    appearance: Appearance,
+    block_steps: int = _BLOCK_STEPS,
+) -> Iterator[_Counted]:
+    """Write a folder, or nothing at all if something goes wrong."""
+    trackers = tuple(EncounterTracker(p, step_s, appearance=appearance) for p in params.encounters)
+    folder = run_folder.create(out, name)
+    try:
+        yield _Counted(folder.path, Recorder(folder.path, "summary", block_steps), trackers)
+    except BaseException:
         with suppress(OSError):
-            self._folder.remove()
+            folder.remove()
+        raise
+    folder.release()
 
 
 def _vehicles(registry: ActorRegistry) -> dict[str, ndarray | None]:
@@ -501,6 +498,10 @@ def _vehicle_columns(
     }
 
 
+_NOTED = ("max_gap_s", "max_speed_mps", "from_s", "to_s", "time_unit_s", "length_unit_m", "repair")
+"""Options of which the manifest keeps the value."""
+
+
 def _finish(
     counted: _Counted,
     name: str,
@@ -511,18 +512,7 @@ def _finish(
     net: dict[str, str],
 ) -> None:
     """Write the manifest."""
-    given = {
-        key: getattr(params, key)
-        for key in (
-            "max_gap_s",
-            "max_speed_mps",
-            "from_s",
-            "to_s",
-            "time_unit_s",
-            "length_unit_m",
-            "repair",
-        )
-    }
+    given = {key: getattr(params, key) for key in _NOTED}
     given["columns"] = None if params.columns is None else asdict(params.columns)
     config = {
         "sensing": False,
@@ -530,20 +520,18 @@ def _finish(
         "encounters": [asdict(p) for p in params.encounters],
         "contacts": {"files": [str(path) for path in paths]} | about | given,
     }
-    summary = counted.report | {"actors_per_step_mean": round(counted.n_present / counted.n_steps, 3)}
-    finish(
-        counted.folder,
-        {
-            "dt_s": step_s,
-            "steps": counted.n_steps,
-            "config": config,
-            "versions": versions("columnar"),
-            "source": source(),
-            "net": net,
-            "timings_s": {},
-            "summary": summary,
-        },
-    )
+    mean = round(counted.n_present / counted.n_steps, 3)
+    manifest = {
+        "dt_s": step_s,
+        "steps": counted.n_steps,
+        "config": config,
+        "versions": versions("columnar"),
+        "source": source(),
+        "net": net,
+        "timings_s": {},
+        "summary": counted.report | {"actors_per_step_mean": mean},
+    }
+    finish(counted.folder, manifest)
 
 
 def _plain_name(path: Path) -> str:
