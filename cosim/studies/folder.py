@@ -161,15 +161,7 @@ class StudyFolder:
         for point in points:
             id, variant = answers.get(point.id, ("", ""))
             if id not in of_run:
-                done = self.attempts(id) if id else []
-                of_run[id] = {
-                    "state": self.state(id) if id else "waiting",
-                    "attempts": len(done),
-                    "wall_s": sum(a.wall_s for a in done),
-                    "cpu_s": sum(a.cpu_s for a in done),
-                    "memory_bytes": max((a.memory_bytes for a in done), default=0),
-                    "disk_bytes": _size(self.run(id)) if id else 0,
-                }
+                of_run[id] = self._cost(id)
             named = {"point": point.id, "run": id, "variant": variant, "replicate": point.replicate}
             rows.append(named | of_run[id])
         columns: dict[str, Any] = {}
@@ -178,15 +170,30 @@ class StudyFolder:
         for key in study.keys:
             columns[key] = _column([point.keys[key] for point in points])
         head = {
-            "name": study.head.name, "question": study.head.question, "keys": list(study.keys),
-            "baseline": study.head.baseline, "measure": asdict(study.measuring),
-        }  # fmt: skip
+            "name": study.head.name,
+            "question": study.head.question,
+            "keys": list(study.keys),
+            "baseline": study.head.baseline,
+            "measure": asdict(study.measuring),
+        }
         table = pa.table(columns).replace_schema_metadata({"study": json.dumps(head)})
         sink = io.BytesIO()
         pq.write_table(table, sink)
         write_whole(self.path / "index.parquet", sink.getvalue())
         states = [row["state"] for row in rows]
         return {state: states.count(state) for state in STATES}
+
+    def _cost(self, id: str) -> dict[str, Any]:
+        """State of a run, and what it has taken; nothing where `id` is empty because the run has not been planned."""
+        done = self.attempts(id) if id else []
+        return {
+            "state": self.state(id) if id else "waiting",
+            "attempts": len(done),
+            "wall_s": sum(a.wall_s for a in done),
+            "cpu_s": sum(a.cpu_s for a in done),
+            "memory_bytes": max((a.memory_bytes for a in done), default=0),
+            "disk_bytes": _size(self.run(id)) if id else 0,
+        }
 
 
 def status_of(run: Path) -> str:

@@ -59,12 +59,13 @@ def curve(run: Run, n_thresholds: int = 51) -> pd.DataFrame:
 
 def _success(run: Run, thresholds: Sequence[float]) -> pd.DataFrame:
     """The pairs of each attacker, and in how many of them it succeeds."""
-    return _asked(run, """
+    query = """
         SELECT effect, role, receivers, among, threshold, attacker, count(*) AS bottom,
             count_if(coalesce(score >= threshold, false) = (effect = 'inserted')) AS top
         FROM pairs, (SELECT unnest($thresholds) AS threshold)
         GROUP BY ALL ORDER BY effect, role, receivers, among DESC, threshold, attacker
-    """, thresholds=[float(threshold) for threshold in thresholds])  # fmt: skip
+    """
+    return _asked(run, query, thresholds=[float(threshold) for threshold in thresholds])
 
 
 def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
@@ -76,14 +77,15 @@ def per_lie(run: Run, thresholds: Sequence[float] = THRESHOLDS) -> pd.DataFrame:
     -------
     role, threshold, n (lies: the denominator), share, low, high, n_units (attackers).
     """
-    lies = _asked(run, """
+    query = """
         , lies AS (
             SELECT role, attacker, max(score) AS best FROM ghosts WHERE among = 'received'
             GROUP BY role, attacker, detection_step, observer, detection_index
         )
         SELECT role, threshold, attacker, count(*) AS bottom, count_if(coalesce(best >= threshold, false)) AS top
         FROM lies, (SELECT unnest($thresholds) AS threshold) GROUP BY ALL ORDER BY role, threshold, attacker
-    """, thresholds=list(thresholds))  # fmt: skip
+    """
+    lies = _asked(run, query, thresholds=list(thresholds))
     return by_group(lies, ["role", "threshold"])
 
 
@@ -95,10 +97,11 @@ def believed_duration(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     role, among, n (stretches), mean_s, low, high (clustered by attacker), n_units. A stretch that the end of the run
     cuts off counts as long as it was observed.
     """
-    steps = _asked(run, """
+    query = """
         SELECT DISTINCT role, among, attacker, receiver, step FROM ghosts WHERE score >= $threshold
         ORDER BY among DESC, role, attacker, receiver, step
-    """, threshold=threshold)  # fmt: skip
+    """
+    steps = _asked(run, query, threshold=threshold)
     every = interval_steps(run, steps.receiver.to_numpy(np.int64))
     same = ["role", "among", "attacker", "receiver"]
     is_first = steps.groupby(same, sort=False).step.diff().isna()
@@ -118,14 +121,15 @@ def false_in_path(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     (vehicles), boxes_mean (fabricated boxes believed in the path per vehicle-step; a box reported by several attackers
     counts once for each).
     """
-    seconds = _asked(run, """
+    query = """
         , seconds AS (
             SELECT among, receiver, count_if(in_path AND coalesce(score >= $threshold, false)) AS n
             FROM ghosts GROUP BY among, receiver, step
         )
         SELECT among, receiver, count(*) AS bottom, count_if(n > 0) AS top, sum(n)::BIGINT AS boxes
         FROM seconds GROUP BY ALL ORDER BY among DESC, receiver
-    """, threshold=threshold)  # fmt: skip
+    """
+    seconds = _asked(run, query, threshold=threshold)
     total = seconds.groupby("among", sort=False)[["boxes", "bottom"]].sum()
     found = by_group(seconds, ["among"])
     return found.assign(boxes_mean=(total.boxes / total.bottom).to_numpy())
@@ -140,10 +144,11 @@ def damage(run: Run, threshold: float = 0.5) -> pd.DataFrame:
     role (of the attacker), among, n (attackers with a lie that an honest vehicle received), total_s, per_attacker_s,
     low, high (clustered by attacker), n_units (these attackers).
     """
-    pairs = _asked(run, """
+    query = """
         SELECT role, among, attacker, receiver, count_if(coalesce(score >= $threshold, false)) AS n
         FROM ghosts GROUP BY ALL ORDER BY among DESC, role, attacker, receiver
-    """, threshold=threshold)  # fmt: skip
+    """
+    pairs = _asked(run, query, threshold=threshold)
     every = interval_steps(run, pairs.receiver.to_numpy(np.int64))
     pairs["top"] = pairs.n * every * run.dt_s
     of_attacker = pairs.groupby(["role", "among", "attacker"], sort=False).top.sum().reset_index().assign(bottom=1)

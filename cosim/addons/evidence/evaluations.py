@@ -7,6 +7,7 @@ that finds no match but knows nothing about the place (visibility 0, see `trust.
 """
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,8 @@ KINDS = ("self report", "true detection", "false positive", "fabricated")
 """What is evaluated: the sender's report of itself, a box of its detector that belongs to an actor, one that belongs to
 none, and one that an attack made up. Of the first three, only those count that no attack changed."""
 SPLITS = ("evaluator", "class", "visibility", "distance", "role")
+_BY = ("all", *SPLITS)
+"""Properties in the order of the rows; the first splits nothing."""
 EVALUATORS = ("the sender", "another vehicle")
 _VISIBILITY = (0.0, 0.25, 0.5, 0.75, 1.0)
 _DISTANCE_M = (0.0, 20.0, 40.0, 60.0, np.inf)
@@ -47,11 +50,12 @@ def rates(run: Run) -> pd.DataFrame:
         row |= columns(share(of.confirmed.to_numpy(), n), "confirmed")
         row |= columns(share(of.missed.to_numpy(), denied), "missed")
         rows.append(row)
-    found = pd.DataFrame(rows)
-    order = []
-    for by, kind in zip(found.by, found.kind, strict=True):
-        order.append(["all", *SPLITS].index(by) * 10 + KINDS.index(kind))
-    return found.iloc[np.argsort(order, kind="stable")].reset_index(drop=True)
+
+    def place(row: dict[str, Any]) -> tuple[int, int]:
+        return _BY.index(row["by"]), KINDS.index(row["kind"])
+
+    rows.sort(key=place)
+    return pd.DataFrame(rows)
 
 
 def boxes_of_no_actor(run: Run) -> pd.DataFrame:
@@ -123,13 +127,13 @@ SELECT coalesce(min(detection_step), $first) AS first FROM evaluations WHERE ste
 
 def _bins(value: str, edges: tuple[float, ...], unit: str) -> str:
     """SQL that names the bin of a value; each bin is without its lower edge and with its upper one."""
-    cases = []
+    cases = ""
     for low, high in pairwise(edges):
-        name = f"over {low:g}{unit}"
         if high < np.inf:
-            name = f"{low:g} to {high:g}{unit}"
-        cases.append(f"WHEN {value} <= {high} THEN '{name}'")
-    return f"CASE {' '.join(cases[:-1])} ELSE '{name}' END"
+            cases += f" WHEN {value} <= {high} THEN '{low:g} to {high:g}{unit}'"
+        else:
+            cases += f" ELSE 'over {low:g}{unit}'"
+    return f"CASE{cases} END"
 
 
 _AWAY_M = "sqrt((d.x_m - a.x_m)::DOUBLE ** 2 + (d.y_m - a.y_m)::DOUBLE ** 2)::FLOAT"

@@ -28,8 +28,8 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
     """
     away_m = np.hypot(xyz[:, 0], xyz[:, 1])
     far_m = float(away_m.max(initial=10.0))
-    ahead = float(xyz[:, 0].min(initial=0.0)) > -0.1 * far_m
-    figure, (panel,) = style.sheet(height=2.4 if ahead else 3.7)
+    is_ahead_only = float(xyz[:, 0].min(initial=0.0)) > -0.1 * far_m
+    figure, (panel,) = style.sheet(height=2.4 if is_ahead_only else 3.7)
     entries = []
     for code, (name, colour) in SURFACES.items():
         rows = np.minimum(hit, 3) == code
@@ -46,7 +46,7 @@ def draw(xyz: ndarray, hit: ndarray, boxes: Mapping[str, ndarray], title: str) -
     style.panel(panel, title, "Right [m]", "Ahead [m]")
     panel.set_aspect("equal")
     panel.set_xlim(-far_m, far_m)
-    panel.set_ylim(-0.05 * far_m if ahead else -far_m, far_m)
+    panel.set_ylim(-0.05 * far_m if is_ahead_only else -far_m, far_m)
     style.legend(figure, entries)
     return figure
 

@@ -29,10 +29,12 @@ def frames_at_speed(
     low, high = slow_mps.mean(), fast_mps.mean()
     if not low < mean_mps < high:
         raise ValueError(f"No shares of worlds with {low:.1f} and {high:.1f} m/s give {mean_mps:.1f} m/s.")
-    fast = (mean_mps - low) / (high - low)
-    n = min(len(slow_mps) / (1 - fast), len(fast_mps) / fast)
-    slow = _even(len(slow_mps), n * (1 - fast))
-    return slow, _even(len(fast_mps), n * fast)
+    fast_p = (mean_mps - low) / (high - low)
+    slow_p = 1 - fast_p
+    n_frames = min(len(slow_mps) / slow_p, len(fast_mps) / fast_p)
+    slow = _even(len(slow_mps), n_frames * slow_p)
+    fast = _even(len(fast_mps), n_frames * fast_p)
+    return slow, fast
 
 
 def in_turn(parts: Sequence[tuple[ndarray, Truth, Found]]) -> tuple[Truth, Found]:
