@@ -55,27 +55,35 @@ _DUPLICATE = int(RejectReason.DUPLICATE)
 
 
 @compiled
-def _checked(messages, observer, index, evaluation, visibility, first, score):
+def _checked(ptr, is_known, row, is_present, index, evaluation, visibility, first, score):
     """`RejectReason` and detection row of each evaluation; no row where it is rejected.
 
-    `messages` is the first row of each message, and whether its evaluator is known; `observer` is the row of each
-    observer, and whether it was present.
+    Parameters
+    ----------
+    ptr, is_known
+        First row of each message, and whether its evaluator is known.
+    row, is_present
+        Row of each observer, and whether it was present.
+    index, evaluation, visibility
+        Of each evaluation.
+    first, score
+        As in `OpenStep`.
     """
-    ptr, is_known = messages
-    row, is_present = observer
     reason = np.zeros(row.size, np.uint8)
     detection = np.zeros(row.size, np.int64)
     mark = np.full(score.size, -1, np.int64)  # of each detection: the last message that evaluates it
     for message in range(is_known.size):
         for k in range(ptr[message], ptr[message + 1]):
-            at = first[row[k]] + index[k]
+            begin = first[row[k]]
+            end = first[row[k] + 1]
+            at = begin + index[k]
             if not is_known[message]:
                 reason[k] = _UNKNOWN_EVALUATOR
             elif not is_present[k]:
                 reason[k] = _UNKNOWN_OBSERVER
-            elif index[k] < 0 or index[k] >= first[row[k] + 1] - first[row[k]] or not score[at] >= 0.0:
+            elif at < begin or at >= end or not score[at] >= 0.0:
                 reason[k] = _UNKNOWN_DETECTION
-            elif not (abs(evaluation[k]) <= 1.0 and 0.0 <= visibility[k] <= 1.0):
+            elif not abs(evaluation[k]) <= 1.0 or not 0.0 <= visibility[k] <= 1.0:
                 reason[k] = _BAD_VALUE
             elif mark[at] == message:
                 reason[k] = _DUPLICATE
@@ -148,11 +156,17 @@ class OpenStep:
         evaluator, is_known = rows_of(int64(messages.evaluator), self.pseudonyms)
         receptions = self._new_receptions(received, evaluator, is_known)
         observer, is_present = rows_of(int64(messages.observer), self.pseudonyms)
-        e, phi = float64(messages.evaluation), float64(messages.visibility)
         reason, detection = _checked(
-            (int64(messages.ptr), is_known), (observer, is_present), int64(messages.detection_index), e, phi,
-            self.first, self.score,
-        )  # fmt: skip
+            int64(messages.ptr),
+            is_known,
+            observer,
+            is_present,
+            int64(messages.detection_index),
+            float64(messages.evaluation),
+            float64(messages.visibility),
+            self.first,
+            self.score,
+        )
         holder = int64(received.holder)[receptions]
         message_row = int64(received.message_row)[receptions]
 
@@ -189,13 +203,14 @@ class OpenStep:
         step comes along without rows, and what its sender says of this step may follow.
         """
         n_evaluations = np.diff(received.messages.ptr)
-        known = (is_known & (n_evaluations > 0))[received.message_row]
+        is_remembered = is_known & (n_evaluations > 0)
+        known = is_remembered[received.message_row]
         rows = np.flatnonzero(known)
-        keys = pair_key(int64(received.holder)[rows], evaluator[received.message_row[rows]])
-        keys, first = np.unique(keys, return_index=True)
-        new = ~rows_of(keys, self._received)[1]
-        self._received = merged(self._received, keys[new])
-        of_known = rows[first[new]]
+        sender = evaluator[received.message_row[rows]]
+        keys, first = np.unique(pair_key(int64(received.holder)[rows], sender), return_index=True)
+        _, is_old = rows_of(keys, self._received)
+        self._received = merged(self._received, keys[~is_old])
+        of_known = rows[first[~is_old]]
         of_unknown = np.flatnonzero(~known)
         return np.sort(np.concatenate([of_known, of_unknown]))
 
@@ -244,7 +259,8 @@ class OpenSteps:
         messages, step = received.messages, received.messages.step
         self.n_received += len(received)
         if step not in self._steps:
-            self.rejected[RejectReason.FUTURE if step > self.now else RejectReason.LATE] += len(received)
+            reason = RejectReason.FUTURE if step > self.now else RejectReason.LATE
+            self.rejected[reason] += len(received)
             return None
         part = self._steps[step].accept(received)
         self.rejected += part.n_rejected

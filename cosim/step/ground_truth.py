@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.plane import wrapped
 from cosim.base.ragged import rows_of
 from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
@@ -19,13 +20,19 @@ from trust.tables import Evaluations
 class GroundTruth(Rows):
     """Ground truth of the detections of a step; rows are aligned with the detections."""
 
-    is_real: Bool[ndarray, "d"]  # the actor exists: neither a false positive nor fabricated
-    actor_row: Int[ndarray, "d"]  # row of the actor in the world, if real
-    iou: Float[ndarray, "d"]  # with the actor's true box, if real
-    occlusion: Float[ndarray, "d"]  # share of the actor that is hidden from the observer, if sensed
+    is_real: Bool[ndarray, "d"]
+    """The actor exists: neither a false positive nor fabricated."""
+    actor_row: Int[ndarray, "d"]
+    """Row of the actor in the world, if real."""
+    iou: Float[ndarray, "d"]
+    """With the actor's true box, if real."""
+    occlusion: Float[ndarray, "d"]
+    """Share of the actor that is hidden from the observer, if sensed."""
     is_sensed: Bool[ndarray, "d"]
-    lied: Bool[ndarray, "d"]  # the sent detection differs from the perceived one by more than noise
-    is_phantom: Bool[ndarray, "d"]  # an object of an attacker made the observer's detector report it
+    lied: Bool[ndarray, "d"]
+    """The sent detection differs from the perceived one by more than noise."""
+    is_phantom: Bool[ndarray, "d"]
+    """An object of an attacker made the observer's detector report it."""
 
 
 def ground_truth_of(
@@ -68,15 +75,21 @@ def ground_truth_of(
     iou[rows] = iou_3d(said.boxes.take(rows), true_boxes)
     occlusion = np.zeros(len(said))
     rows = np.flatnonzero(sensed & is_real)
-    n = len(world)
-    seen = observers[sights.observer] * n + sights.actor
-    wanted = said.observer[rows] * n + actor_row[rows]
-    at = np.searchsorted(seen, wanted)
-    occlusion[rows] = sights.occlusion[at]
+    pair_of_sight = observers[sights.observer] * len(world) + sights.actor
+    pair = said.observer[rows] * len(world) + actor_row[rows]
+    occlusion[rows] = sights.occlusion[np.searchsorted(pair_of_sight, pair)]
     is_phantom = np.zeros(len(said), bool)
     if sensed_caused_by is not None:
         is_phantom[sensed] = sensed_caused_by >= 0
-    return GroundTruth(is_real, actor_row, iou, occlusion, sensed & is_real, lied, is_phantom)
+    return GroundTruth(
+        is_real=is_real,
+        actor_row=actor_row,
+        iou=iou,
+        occlusion=occlusion,
+        is_sensed=sensed & is_real,
+        lied=lied,
+        is_phantom=is_phantom,
+    )
 
 
 NOISE_M, NOISE_RAD, NOISE_SIZE, NOISE_SCORE, NOISE_MPS = 0.5, np.radians(10.0), 0.2, 0.1, 0.5
@@ -112,15 +125,14 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     now, perceived = sent.take(rows), perceived.take(at[rows])
     a, b = now.boxes, perceived.boxes
     moved_m = np.linalg.norm(a.xyz_m - b.xyz_m, axis=1)
-    turn = np.mod(np.pi - (a.yaw_rad - b.yaw_rad), 2 * np.pi)
-    turned = np.abs(np.pi - turn)
+    turned = np.abs(wrapped(a.yaw_rad - b.yaw_rad))
     resized = np.abs(a.lwh_m / b.lwh_m - 1)
     changed = (moved_m > NOISE_M) | (turned > NOISE_RAD)
     changed |= (resized > NOISE_SIZE).any(axis=1)
     changed |= now.label != perceived.label
     changed |= np.abs(now.score - perceived.score) > NOISE_SCORE
-    for x, y in ((now.speed_mps, perceived.speed_mps), (now.acceleration_mps2, perceived.acceleration_mps2)):
-        changed |= np.abs(x - y) > NOISE_MPS  # false if there is no speed
+    changed |= np.abs(now.speed_mps - perceived.speed_mps) > NOISE_MPS  # false if there is no speed
+    changed |= np.abs(now.acceleration_mps2 - perceived.acceleration_mps2) > NOISE_MPS
     changed |= np.linalg.norm(now.velocity_mps - perceived.velocity_mps, axis=1) > NOISE_MPS
     was_known = ~np.isnan(perceived.velocity_mps).any(axis=1)
     is_known = ~np.isnan(now.velocity_mps).any(axis=1)

@@ -1,6 +1,6 @@
 """Perception of observers with different LiDARs: vehicles, and roadside units with sensors of their own."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,28 +34,34 @@ class MixedImages:
         """Poses of the sensors of all observers."""
         origin_m = np.empty((len(self.lidar), 3))
         yaw_rad = np.empty(len(self.lidar))
-        for number, images in enumerate(self.of_lidar):
-            mine = self.lidar == number
-            origin_m[mine], yaw_rad[mine] = images.poses.origin_m, images.poses.yaw_rad
+        for images, mine in self._with_observers():
+            origin_m[mine] = images.poses.origin_m
+            yaw_rad[mine] = images.poses.yaw_rad
         return lidar.Poses(origin_m, yaw_rad)
 
-    def seen_after_s(self, o: Int[ndarray, "k"], xyz_m: Float[ndarray, "k 3"]) -> Float[ndarray, "k"]:
+    def _with_observers(self) -> Iterator[tuple[RangeImages, Bool[ndarray, "m"]]]:
+        """The images of each LiDAR, and which observers have it."""
+        for number, images in enumerate(self.of_lidar):
+            yield images, self.lidar == number
+
+    def seen_after_s(
+        self,
+        o: Int[ndarray, "k"],
+        xyz_m: Float[ndarray, "k 3"],
+    ) -> Float[ndarray, "k"]:
         """As `RangeImages.seen_after_s`. All LiDARs turn equally fast."""
         return lidar.seen_after_s(self.poses, self.of_lidar[0].beams.s_per_rad, o, xyz_m)
 
     def displaced(self, error: Float[ndarray, "m 3"]) -> "MixedImages":
         """As `RangeImages.displaced`."""
-        moved = []
-        for number, images in enumerate(self.of_lidar):
-            mine = self.lidar == number
-            moved.append(images.displaced(error[mine]))
+        moved = (images.displaced(error[mine]) for images, mine in self._with_observers())
         return replace(self, of_lidar=tuple(moved))
 
     def n_returns(self) -> Int[ndarray, "m"]:
         """As `RangeImages.n_returns`."""
         n = np.zeros(len(self.lidar), np.int64)
-        for number, images in enumerate(self.of_lidar):
-            n[self.lidar == number] = images.n_returns()
+        for images, mine in self._with_observers():
+            n[mine] = images.n_returns()
         return n
 
     def image(self, o: int) -> tuple[RangeImages, int]:
@@ -114,34 +120,39 @@ class MixedPerception:
         """As in `Perception`."""
         return self.of_lidar[0].observed(world, observers, sweeps, parts, sort)
 
-    def perceive(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> tuple[MixedImages, list[Seen]]:
+    def perceive(
+        self,
+        world: World,
+        observers: Int[ndarray, "e"],
+        watch: Stopwatch,
+    ) -> tuple[MixedImages, list[Seen]]:
         """Images of the observers in these rows of the world, and what those of each LiDAR saw."""
-        of = np.zeros(len(observers), np.int64)
+        number_of = np.zeros(len(observers), np.int64)
         row = np.zeros(len(observers), np.int64)
         units = np.flatnonzero(world.is_roadside[observers])
         name_key = world.name_key[observers[units]]
-        of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, name_key)]
+        number_of[units] = self.lidar_of_unit[np.searchsorted(self.unit_key, name_key)]
         images: list[RangeImages] = []
         seen: list[Seen] = []
         for number, perception in enumerate(self.of_lidar):
-            mine = np.flatnonzero(of == number)
+            mine = np.flatnonzero(number_of == number)
             row[mine] = np.arange(len(mine))
             found, parts = perception.perceive(world, observers[mine], watch)
             images.append(found)
             seen += [part.renumbered(mine.astype(np.int32)) for part in parts]
-        return MixedImages(tuple(images), of, row), seen
+        return MixedImages(tuple(images), number_of, row), seen
 
     def answers(self, sweeps: MixedImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
         n_points = np.zeros(len(asked.counting), np.int32)
         plausible = np.ones(len(asked.testing), bool)
         for number, perception in enumerate(self.of_lidar):
-            p, t, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
+            counting, testing, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
             mine = replace(mine, area=self._area(asked.area, number))
             images = sweeps.of_lidar[number]
-            n_points[p], plausible[t] = perception.answers(images, mine)
-            if number:
-                plausible[t] |= _below_the_beams(images, mine.testing, mine.boxes, mine.tested)
+            n_points[counting], plausible[testing] = perception.answers(images, mine)
+            if number:  # on a mast
+                plausible[testing] |= _below_the_beams(images, mine.testing, mine.boxes, mine.tested)
         return n_points, plausible
 
     def in_area(

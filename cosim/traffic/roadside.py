@@ -13,6 +13,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, UInt64
 from numpy import ndarray
 
+from cosim.base.plane import wrapped
 from cosim.base.rng import Stream, key, name_key, uniforms
 from cosim.traffic.actors import actor_key
 from sensors.lidar import ProfileName
@@ -144,7 +145,7 @@ def place(
         tuple(names),
         ground_m - [*origin_m, 0.0],
         np.array([section.height_m for section, _ in sites], float),
-        np.pi - np.mod(np.pi - yaw, 2 * np.pi),
+        wrapped(yaw),
         tuple(section.sensor for section, _ in sites),
         np.array([section.trusted for section, _ in sites], bool),
     )
