@@ -34,10 +34,10 @@ VULNERABLE_INTERVAL_S = 0.5
 SENSORS_INTERVAL_S = 1.0
 """A message describes the sensors if the latest one that did is this old: T_AddSensorInformation."""
 
-_LARGEST = (8.0, 1.0, np.radians(8.0), 1.0)
-"""Changes of position [m], speed [m/s] and heading [rad], and time [s], with the largest part in the utility."""
-_SHORTEST_S = 0.1
-"""Time since the last inclusion that has no part in the utility."""
+_LARGEST_M, _LARGEST_MPS, _LARGEST_RAD = 8.0, 1.0, np.radians(8.0)
+"""Changes of position, speed and heading with the largest part in the utility."""
+_SHORTEST_S, _LONGEST_S = 0.1, 1.0
+"""Times since the last inclusion that have no part, and the largest part, in the utility."""
 _QUALITIES = 15
 _VULNERABLE = np.isin(LABELS, ("pedestrian", "cyclist"))
 _FAR_M = 1000.0
@@ -263,7 +263,11 @@ class Remembered:
 
     @staticmethod
     def beside(
-        memory: InclusionMemory, seen: Detections, sender: Int[ndarray, "r"], track: Int[ndarray, "r"], time_s: float
+        memory: InclusionMemory,
+        seen: Detections,
+        sender: Int[ndarray, "r"],
+        track: Int[ndarray, "r"],
+        time_s: float,
     ) -> "Remembered":
         """Associate candidates with the memory.
 
@@ -333,7 +337,11 @@ def speeds(seen: Detections) -> Float[ndarray, "d"]:
     return np.where(is_unstated, np.hypot(vx, vy), np.abs(seen.speed_mps))
 
 
-def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) -> Bool[ndarray, "r"]:
+def due(
+    now: Remembered,
+    label: UInt8[ndarray, "r"],
+    sender: Int[ndarray, "r"],
+) -> Bool[ndarray, "r"]:
     """Which candidates the generation rules include.
 
     Parameters
@@ -352,14 +360,13 @@ def due(now: Remembered, label: UInt8[ndarray, "r"], sender: Int[ndarray, "r"]) 
     There is no rule on speed where it is unknown. The threshold of quality is met by all that was just detected.
     """
     moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
-    is_new, person = now.near < 0, _VULNERABLE[label]
-    with_speed = faster_mps > FASTER_MPS  # false where a speed is unknown
-    late = elapsed_s >= np.where(person, VULNERABLE_INTERVAL_S, INTERVAL_S) - _SLACK_S
-    senders, at = np.unique(sender, return_inverse=True)
-    late_people = at[person & late & ~is_new]
-    of_all = np.bincount(late_people, minlength=len(senders)) > 0
-    changed = (moved_m > MOVED_M) | with_speed | (turned_rad > TURNED_RAD)
-    return np.where(person, is_new | of_all[at], is_new | changed | late)
+    is_new, is_person = now.near < 0, _VULNERABLE[label]
+    is_faster = faster_mps > FASTER_MPS  # false where a speed is unknown
+    has_changed = (moved_m > MOVED_M) | is_faster | (turned_rad > TURNED_RAD)
+    interval_s = np.where(is_person, VULNERABLE_INTERVAL_S, INTERVAL_S)
+    is_late = elapsed_s >= interval_s - _SLACK_S
+    is_of_all = np.isin(sender, sender[is_person & is_late & ~is_new])
+    return is_new | np.where(is_person, is_of_all, has_changed | is_late)
 
 
 def utility(now: Remembered, score: Float[ndarray, "r"]) -> Float[ndarray, "r"]:
@@ -382,15 +389,20 @@ def utility(now: Remembered, score: Float[ndarray, "r"]) -> Float[ndarray, "r"]:
     moved_m, faster_mps, turned_rad, elapsed_s = now.changes()
     is_unknown = np.isnan(faster_mps) | ((now.near < 0) & np.isnan(now.speed_mps))
     faster_mps = np.where(is_unknown, 0.0, faster_mps)
-    changes = (moved_m, faster_mps, turned_rad, (elapsed_s - _SHORTEST_S))
-    widths = (*_LARGEST[:3], _LARGEST[3] - _SHORTEST_S)
-    both = zip(changes, widths, strict=True)
-    parts = [np.clip(change / width, 0.0, 1.0) for change, width in both]
-    return np.floor(_QUALITIES * score) / _QUALITIES + sum(parts)
+    quality = np.floor(_QUALITIES * score) / _QUALITIES
+    waited = (elapsed_s - _SHORTEST_S) / (_LONGEST_S - _SHORTEST_S)
+    changes = np.clip(moved_m / _LARGEST_M, 0.0, 1.0)
+    changes += np.clip(faster_mps / _LARGEST_MPS, 0.0, 1.0)
+    changes += np.clip(turned_rad / _LARGEST_RAD, 0.0, 1.0)
+    changes += np.clip(waited, 0.0, 1.0)
+    return quality + changes
 
 
 def beyond_limit(
-    message: Int[ndarray, "r"], utility: Float[ndarray, "r"], number: Int[ndarray, "r"], limit: int
+    message: Int[ndarray, "r"],
+    utility: Float[ndarray, "r"],
+    number: Int[ndarray, "r"],
+    limit: int,
 ) -> Bool[ndarray, "r"]:
     """Which objects are not among the `limit` objects of largest utility in their messages.
 
@@ -408,7 +420,11 @@ def beyond_limit(
     return over
 
 
-def _same_track(memory: InclusionMemory, sender: Int[ndarray, "r"], track: Int[ndarray, "r"]) -> Int[ndarray, "r"]:
+def _same_track(
+    memory: InclusionMemory,
+    sender: Int[ndarray, "r"],
+    track: Int[ndarray, "r"],
+) -> Int[ndarray, "r"]:
     """Row of the object of the same track of the same sender; -1 if it is not remembered, or is not tracked."""
     near = np.full(len(sender), -1)
     rows = np.flatnonzero(track >= 0)
@@ -441,7 +457,7 @@ def _nearest(
         return np.full(len(of), -1)
     of_held = memory.of[held]
     kinds = np.unique(of_held)
-    there = np.isin(of, kinds)
+    is_found = np.isin(of, kinds)
     elapsed_s = time_s - memory.time_s[held]
     moved_m = np.nan_to_num(memory.velocity_mps[held]) * elapsed_s[:, None]
     # Objects of different `of` lie on different floors, far from each other.
@@ -450,5 +466,5 @@ def _nearest(
     tree = scipy.spatial.cKDTree(known)
     places = np.column_stack([xy_m, floor_m])
     _, near = tree.query(places, distance_upper_bound=MOVED_M + 1e-9)
-    there &= near < len(held)
-    return np.where(there, held[np.minimum(near, len(held) - 1)], -1)
+    is_found &= near < len(held)
+    return np.where(is_found, held[np.minimum(near, len(held) - 1)], -1)

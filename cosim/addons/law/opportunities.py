@@ -95,8 +95,7 @@ class Sensing:
         bodies = prisms(world.shape, boxes)
         returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
         o = owner_of_rows(np.diff(near.ptr))
-        no_bodies, fov_rad = np.zeros((0, 3)), self.beams.fov_rad
-        area = self.area
+        no_bodies, fov_rad, area = np.zeros((0, 3)), self.beams.fov_rad, self.area
         inside = in_area(
             pairs_of(o, origin_m, yaw_rad, boxes, near.row),
             np.zeros(0, bool),
@@ -189,20 +188,16 @@ def chances(views: ViewTimes, subject: Int[ndarray, "p"], evaluator: Int[ndarray
 
 @compiled
 def _chances(views, subject, evaluator, self_reports, found):
-    own, ptr, body, seen_p, inside, detected_p = (
-        views.own,
-        views.ptr,
-        views.body,
-        views.seen_p,
-        views.inside,
-        views.detected_p,
-    )
+    own, ptr, body = views.own, views.ptr, views.body
+    seen_p, inside, detected_p = views.seen_p, views.inside, views.detected_p
     for pair in range(len(subject)):
         s, v = subject[pair], evaluator[pair]
         none, n_listed = 1.0, 0.0
-        k, end, i, stop = ptr[v], ptr[v + 1], ptr[s], ptr[s + 1]
+        k, end = ptr[v], ptr[v + 1]  # what the evaluator can see
+        i, stop = ptr[s], ptr[s + 1]  # what the subject can see
         while k < end or i < stop:
-            if i >= stop or (k < end and body[k] < body[i]):
+            is_left = k < end  # the evaluator has bodies left
+            if i >= stop or (is_left and body[k] < body[i]):
                 if self_reports and body[k] == own[s]:
                     none *= 1.0 - seen_p[k]
                     n_listed += inside[k]
@@ -211,7 +206,7 @@ def _chances(views, subject, evaluator, self_reports, found):
             if self_reports and body[i] == own[v]:
                 none *= 1.0 - detected_p[i]
                 n_listed += detected_p[i]
-            elif k < end and body[k] == body[i]:
+            elif is_left and body[k] == body[i]:
                 none *= 1.0 - detected_p[i] * seen_p[k]
                 n_listed += detected_p[i] * inside[k]
                 k += 1
