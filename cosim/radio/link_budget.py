@@ -1,6 +1,6 @@
 """Link budget: mean received power of every pair of stations above the cut-off.
 
-    links, losses, pair = links_between(xyz_m, key, params, rng_key, los)
+    links = links_between(xyz_m, key, params, rng_key, los)
 
 A grid finds the pairs in range, and the city's walls decide their line of sight. Vehicles may block links that no
 building blocks. A link depends only on the positions of its ends and on the seed: the same two positions have the same
@@ -361,13 +361,12 @@ def links_between(
     params: PropagationParams,
     rng_key: np.uint64,
     los: LosOfPlaces | None = None,
-    tx_power_dbm: Float[ndarray, "n"] | None = None,
     found: PairLos | None = None,
     above_street_m: Float[ndarray, "n"] | None = None,
     bodies: Bodies | None = None,
     sends: Bool[ndarray, "n"] | None = None,
-) -> tuple[Links, StationPairs, Int[ndarray, "links"]]:
-    """Links between stations at these antenna positions, and the pair of each link.
+) -> Links:
+    """Links between stations at these antenna positions, sorted by sender.
 
     Parameters
     ----------
@@ -375,51 +374,41 @@ def links_between(
         Antenna positions [m] and keys of the N stations.
     params, rng_key, los, found, above_street_m, bodies
         As for `pairs`.
-    tx_power_dbm
-        Power of each station [dBm]. None: that of `params`.
     sends
         Stations whose links are computed. The others have no links as senders. None: all.
-
-    Returns
-    -------
-    Links sorted by sender, the losses of all pairs in range, and the row of each link's pair.
     """
     if found is None:
         found = los_pairs(xyz_m, params, los, sends=sends)
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m, bodies)
-    n = len(xyz_m)
-    sends = np.ones(n, bool) if sends is None else sends
-    power_dbm = np.full(n, params.tx_power_dbm) if tx_power_dbm is None else np.asarray(tx_power_dbm, float)
+    sends = np.ones(len(xyz_m), bool) if sends is None else sends
+    sent_mw = from_db(np.full(len(losses.a), params.tx_power_dbm))
+    received_mw = from_db(-losses.loss_db) * sent_mw
     fading = fading_class(losses.distance_m, params.fading)
-    gain, tx_power_mw = from_db(-losses.loss_db), from_db(power_dbm)
-    cutoff_mw = from_db(params.cutoff_dbm)
-    ptr, receiver, power_mw, pair = _directed(losses.a, losses.b, gain, tx_power_mw, cutoff_mw, sends)
-    return Links(key, ptr, receiver, power_mw, fading[pair]), losses, pair
+    arrives = received_mw >= from_db(params.cutoff_dbm)
+    ptr, receiver, pair = _directed(losses.a, losses.b, arrives, sends)
+    return Links(key, ptr, receiver, received_mw[pair].astype(np.float32), fading[pair])
 
 
 @compiled
-def _directed(a, b, gain, power_mw, cutoff_mw, sends):
-    """Links above the cut-off in the directions of each pair that send, by sender: where each sender's begin, receiver,
-    mean received power, and row of the pair.
+def _directed(a, b, arrives, sends):
+    """Links in the directions of each pair that send, if its signals arrive: where each sender's links begin, receiver
+    and row of the pair.
     """
-    n = len(power_mw)
+    n = len(sends)
     ptr = np.zeros(n + 1, np.int64)
-    for pair in range(len(a)):
+    for pair in np.flatnonzero(arrives):
         for sender in (a[pair], b[pair]):
-            arrives = power_mw[sender] * gain[pair] >= cutoff_mw
-            ptr[sender + 1] += sends[sender] and arrives
+            ptr[sender + 1] += sends[sender]
     for i in range(n):
         ptr[i + 1] += ptr[i]
     at, m = ptr.copy(), ptr[n]
     receiver = np.empty(m, np.int32)
-    received_mw = np.empty(m, np.float32)
     of_pair = np.empty(m, np.int64)
-    for pair in range(len(a)):
+    for pair in np.flatnonzero(arrives):
         i, j = a[pair], b[pair]
         for sender, other in ((i, j), (j, i)):
-            mw = power_mw[sender] * gain[pair]
-            if sends[sender] and mw >= cutoff_mw:
-                row = at[sender]
-                receiver[row], received_mw[row], of_pair[row] = other, mw, pair
-                at[sender] = row + 1
-    return ptr, receiver, received_mw, of_pair
+            if sends[sender]:
+                receiver[at[sender]] = other
+                of_pair[at[sender]] = pair
+                at[sender] += 1
+    return ptr, receiver, of_pair

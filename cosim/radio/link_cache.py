@@ -40,7 +40,7 @@ class LinkCache:
         sends = np.ones(len(stations), bool) if sends is None else sends
         found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m), sends)
         near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
-        links, _, _ = links_between(
+        links = links_between(
             xyz_m,
             stations.key,
             propagation,

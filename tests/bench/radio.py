@@ -66,7 +66,7 @@ def _city(n: int, n_receivers: int, params: PropagationParams) -> tuple[ndarray,
     """Antennas, and a city of a size in which each antenna has about `n_receivers` receivers."""
     side_m, key = 1000.0, np.arange(1, n + 1, dtype=np.uint64)
     for _ in range(12):
-        links, _, _ = links_between(streets(n, side_m), key, params, np.uint64(1), _los(side_m))
+        links = links_between(streets(n, side_m), key, params, np.uint64(1), _los(side_m))
         side_m *= (len(links.receiver) / n / n_receivers) ** 0.4
     return streets(n, side_m), _los(side_m)
 
@@ -79,7 +79,7 @@ def _network(xyz: ndarray, los: LosOfPlaces, params: PropagationParams) -> tuple
     for window in range(_ROUNDS):
         packets, until_ns = packets_of(n, window), (window + 1) * WINDOW_NS
         begin = thread_time()
-        links, _, _ = links_between(xyz, key, params, np.uint64(1), los)
+        links = links_between(xyz, key, params, np.uint64(1), los)
         middle = thread_time()
         state, _ = run_window(state, links, packets, until_ns, rules)
         end = thread_time()

@@ -162,7 +162,7 @@ class Delivery:
         """
         p, xyz_m = self.params.propagation, stations.xyz_m
         shadowing = rng.key(self.seed, rng.Stream.SHADOWING)
-        links, _, _ = link_budget.links_between(
+        links = link_budget.links_between(
             xyz_m, stations.key, p, shadowing, self.los, above_street_m=stations.above_street_m
         )
         sender = owner_of_rows(np.diff(links.ptr))
