@@ -186,7 +186,10 @@ def _wilson(k: int, n: int, level: float) -> tuple[float, float]:
 
 
 def mean_of_pairs(
-    values: Float[ndarray, "p"], a: Int[ndarray, "p"], b: Int[ndarray, "p"], bounds: Bounds = FREE, level: float = LEVEL
+    values: Float[ndarray, "p"],
+    a: Int[ndarray, "p"],
+    b: Int[ndarray, "p"],
+    bounds: Bounds = FREE,
 ) -> ClusteredEstimate:
     """Mean over pairs of units, where pairs that share a unit are not independent [1]_.
 
@@ -196,7 +199,7 @@ def mean_of_pairs(
         Value of each pair. The same pair may occur several times.
     a, b
         Numbers of the two units of each pair.
-    bounds, level
+    bounds
         As for `around`.
 
     Returns
@@ -226,7 +229,7 @@ def mean_of_pairs(
     of_pair = np.bincount(pair, residual)  # the same two may meet again; they share both units
     dyadic = float((of_unit**2).sum() - (of_pair**2).sum())
     variance = max(dyadic, float((residual**2).sum())) / len(values) ** 2
-    return around(value, variance**0.5, n - 1, bounds, level)._replace(n_units=n)
+    return around(value, variance**0.5, n - 1, bounds)._replace(n_units=n)
 
 
 def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = LEVEL) -> ClusteredEstimate:
