@@ -74,14 +74,15 @@ def _checked(ptr, is_known, row, is_present, index, evaluation, visibility, firs
     mark = np.full(score.size, -1, np.int64)  # of each detection: the last message that evaluates it
     for message in range(is_known.size):
         for k in range(ptr[message], ptr[message + 1]):
-            begin = first[row[k]]
-            end = first[row[k] + 1]
-            at = begin + index[k]
+            observer = row[k]
+            at = first[observer] + index[k]  # means nothing where the index is out of range
             if not is_known[message]:
                 reason[k] = _UNKNOWN_EVALUATOR
             elif not is_present[k]:
                 reason[k] = _UNKNOWN_OBSERVER
-            elif at < begin or at >= end or not score[at] >= 0.0:
+            elif not 0 <= index[k] < first[observer + 1] - first[observer]:
+                reason[k] = _UNKNOWN_DETECTION
+            elif not score[at] >= 0.0:
                 reason[k] = _UNKNOWN_DETECTION
             elif not abs(evaluation[k]) <= 1.0 or not 0.0 <= visibility[k] <= 1.0:
                 reason[k] = _BAD_VALUE
