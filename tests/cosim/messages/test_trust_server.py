@@ -28,9 +28,8 @@ def keys(n):
 
 def reports_of(n, step=0, each=2):
     m = n * each
-    messages = EvaluationMessages(
-        step, np.arange(n), np.arange(n + 1) * each, np.zeros(m, int), np.zeros(m, int), np.ones(m), np.ones(m)
-    )
+    zeros, ones = np.zeros(m, int), np.ones(m)
+    messages = EvaluationMessages(step, np.arange(n), np.arange(n + 1) * each, zeros, zeros, ones, ones)
     return SentReports(messages, np.full(n, each))
 
 
