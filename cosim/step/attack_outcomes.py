@@ -89,7 +89,7 @@ def attack_outcomes(
         "detection_index": objects.detection_index[detection],
         "receiver": vehicles.actor[receiver],
         "intended": objects.target[detection] == vehicles.row[receiver],
-        "in_path": _in_path(believed, vehicles.row[receiver], objects.boxes.take(detection)),
+        "in_path": _in_path(believed.boxes.take(vehicles.row[receiver]), objects.boxes.take(detection)),
         "ego_detected": is_removal & np.isin(receiver * n + truth.actor_row[detection], detected),
     }
     rows = []
@@ -170,10 +170,12 @@ def _best(
     return np.where(there, score[at] if len(score) else 0.0, 0.0), there
 
 
-def _in_path(world: World, row: Int[ndarray, "k"], boxes: Boxes) -> Bool[ndarray, "k"]:
-    """Whether a vehicle would hit each box if it drove straight on for `PATH_M`."""
-    away_m = boxes.xyz_m[:, :2] - world.boxes.xyz_m[row, :2]
-    ahead_m, left_m = turned_by(-world.boxes.yaw_rad[row], away_m).T
-    own_width_m = world.boxes.lwh_m[row, 1]
-    reach_m = (own_width_m + boxes.lwh_m[:, 1]) / 2
+def _in_path(own: Boxes, boxes: Boxes) -> Bool[ndarray, "k"]:
+    """Whether each vehicle would hit the box in the same row if it drove straight on for `PATH_M`."""
+    away_m = boxes.xyz_m[:, :2] - own.xyz_m[:, :2]
+    ahead_m, left_m = turned_by(-own.yaw_rad, away_m).T
+    turn_rad = boxes.yaw_rad - own.yaw_rad
+    length_m, width_m, _ = boxes.lwh_m.T
+    across, along = np.abs(np.sin(turn_rad)), np.abs(np.cos(turn_rad))
+    reach_m = (own.lwh_m[:, 1] + length_m * across + width_m * along) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

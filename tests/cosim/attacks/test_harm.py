@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from cosim.attacks.catalogue import ATTACKS
+from cosim.base.plane import turned_by
+from cosim.step.attack_outcomes import _in_path
+from sensors.boxes import Boxes
 from tests.cosim.attacks.plain import NAMES, play
 
 LIARS = [0, 7, 15, 23]
@@ -186,3 +189,16 @@ def test_replayed_evaluations_are_not_silent():
     rows = rows[(rows["at"] == 1) & rows.evaluator.isin(LIARS) & (rows.observer != rows.evaluator)]
     assert len(rows) > 100 and (rows.visibility > 0).all()
     assert np.isfinite(rows.evaluation).all()
+
+
+def test_a_box_that_reaches_into_the_path_is_in_it():
+    """The path is 2 m wide. A box of 4.5 x 1.8 m reaches 0.9 m to each side along it, and 2.25 m across it."""
+    ahead_m = [20, 20, 20, 20, -1, 49, 51]
+    left_m = [1.8, 2.0, -3.2, -3.3, 0, 0, 0]
+    turn_rad = np.radians([0, 0, 90, 90, 0, 0, 0])
+    away_m = np.column_stack([ahead_m, left_m]).astype(float)
+    east_m, north_m = turned_by(np.full(7, 0.5), away_m).T
+    own = Boxes(np.zeros((7, 3)), np.tile([5.0, 2.0, 1.5], (7, 1)), np.full(7, 0.5))
+    centre_m = np.column_stack([east_m, north_m, np.zeros(7)])
+    boxes = Boxes(centre_m, np.tile([4.5, 1.8, 1.5], (7, 1)), 0.5 + turn_rad)
+    assert _in_path(own, boxes).tolist() == [True, False, True, False, False, True, False]
