@@ -176,6 +176,7 @@ def _in_path(own: Boxes, boxes: Boxes) -> Bool[ndarray, "k"]:
     ahead_m, left_m = turned_by(-own.yaw_rad, away_m).T
     turn_rad = boxes.yaw_rad - own.yaw_rad
     length_m, width_m, _ = boxes.lwh_m.T
-    across, along = np.abs(np.sin(turn_rad)), np.abs(np.cos(turn_rad))
-    reach_m = (own.lwh_m[:, 1] + length_m * across + width_m * along) / 2
+    across_m = length_m * np.abs(np.sin(turn_rad))
+    across_m += width_m * np.abs(np.cos(turn_rad))
+    reach_m = (own.lwh_m[:, 1] + across_m) / 2
     return (ahead_m > 0) & (ahead_m <= PATH_M) & (np.abs(left_m) <= reach_m)

@@ -198,7 +198,8 @@ def test_a_box_that_reaches_into_the_path_is_in_it():
     turn_rad = np.radians([0, 0, 90, 90, 0, 0, 0])
     away_m = np.column_stack([ahead_m, left_m]).astype(float)
     east_m, north_m = turned_by(np.full(7, 0.5), away_m).T
-    own = Boxes(np.zeros((7, 3)), np.tile([5.0, 2.0, 1.5], (7, 1)), np.full(7, 0.5))
+    own_lwh_m, lwh_m = np.full((7, 3), 2.0), np.tile([4.5, 1.8, 1.5], (7, 1))
+    own = Boxes(np.zeros((7, 3)), own_lwh_m, np.full(7, 0.5))
     centre_m = np.column_stack([east_m, north_m, np.zeros(7)])
-    boxes = Boxes(centre_m, np.tile([4.5, 1.8, 1.5], (7, 1)), 0.5 + turn_rad)
+    boxes = Boxes(centre_m, lwh_m, 0.5 + turn_rad)
     assert _in_path(own, boxes).tolist() == [True, False, True, False, False, True, False]

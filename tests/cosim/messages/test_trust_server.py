@@ -29,7 +29,8 @@ def keys(n):
 def reports_of(n, step=0, each=2):
     m = n * each
     zeros, ones = np.zeros(m, int), np.ones(m)
-    messages = EvaluationMessages(step, np.arange(n), np.arange(n + 1) * each, zeros, zeros, ones, ones)
+    ptr = np.arange(n + 1) * each
+    messages = EvaluationMessages(step, np.arange(n), ptr, zeros, zeros, ones, ones)
     return SentReports(messages, np.full(n, each))
 
 
@@ -95,9 +96,10 @@ def test_a_report_without_evaluations_is_not_sent():
 def test_evaluations_that_the_server_will_drop_are_sent():
     """A trusted roadside unit overrules them at the server; the vehicle that sends them does not know that."""
     up = Uplink(ServerParams(cellular=CellularParams(uplink_loss_p=0.0)), 3, 1.0)
-    _, all_used = up.by_cellular(UplinkState(), reports_of(5), keys(5), np.zeros((5, 2)), 0.0)
+    key, xy_m = keys(5), np.zeros((5, 2))
+    _, all_used = up.by_cellular(UplinkState(), reports_of(5), key, xy_m, 0.0)
     dropped = reports_of(5)._replace(used=reports_of(5, each=0).used)
-    state, stats = up.by_cellular(UplinkState(), dropped, keys(5), np.zeros((5, 2)), 0.0)
+    state, stats = up.by_cellular(UplinkState(), dropped, key, xy_m, 0.0)
     assert stats == all_used and stats.uplink_bytes == 5 * 182
     assert arrived(up, state, 9.0)[1] == [[0, 1, 2, 3, 4]]
 
