@@ -381,8 +381,7 @@ def links_between(
         found = los_pairs(xyz_m, params, los, sends=sends)
     losses = pairs(xyz_m, params, rng_key, los, found, above_street_m, bodies)
     sends = np.ones(len(xyz_m), bool) if sends is None else sends
-    sent_mw = from_db(np.full(len(losses.a), params.tx_power_dbm))
-    received_mw = from_db(-losses.loss_db) * sent_mw
+    received_mw = from_db(-losses.loss_db) * from_db(params.tx_power_dbm)
     fading = fading_class(losses.distance_m, params.fading)
     arrives = received_mw >= from_db(params.cutoff_dbm)
     ptr, receiver, pair = _directed(losses.a, losses.b, arrives, sends)
