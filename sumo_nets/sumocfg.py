@@ -24,6 +24,7 @@ ROOTS = frozenset(("configuration", "sumoConfiguration"))
 _REQUIRED = ("net-file", "route-files", "additional-files")
 """Options whose files are checked for existence; SUMO itself reports others."""
 _POLY = ["<poly".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be")]
+_DEMAND = [b"<flow", b"<trip", b"<vehicle ", b"<person"]
 _YES = ("true", "1", "yes", "on", "x", "t")
 _TABLES = ("astar.all-distances", "astar.landmark-distances")
 """Options whose files SUMO reads as tables, and not as XML."""
@@ -52,6 +53,12 @@ class Sumocfg:
     @property
     def routes(self) -> tuple[Path, ...]:
         return self.files["route-files"]
+
+    @property
+    def demand(self) -> tuple[Path, ...]:
+        """The files with vehicles and persons. Additional files may contain them, too."""
+        others = dict.fromkeys((*self.additional, *self.included))
+        return (*self.routes, *(path for path in others if any(contains(path, text) for text in _DEMAND)))
 
     @property
     def buildings(self) -> tuple[Path, ...]:

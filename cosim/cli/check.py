@@ -92,6 +92,8 @@ def _print_config(experiment: "Config", path: Path | None, loaded: dict[str, str
 
 
 def _vehicles(cost: "Cost") -> str:
+    if not cost.n_vehicles:
+        return "about 0 on the road: no departure of the demand is near the time that is recorded"
     said = f"about {cost.n_vehicles:,.0f} on the road"
     if cost.n_equipped:
         said += f", {cost.n_equipped:,.0f} of them with LiDAR and radio"

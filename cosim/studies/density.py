@@ -125,7 +125,7 @@ def _demanded(name: str, scenario: Scenario, begin_s: float | None, after_s: flo
     config = sumocfg.read(scenario.sumocfg)
     begin_s = config.begin_s if begin_s is None else begin_s
     at_s = begin_s + after_s
-    return config.scale * departures(config.routes, max(begin_s, at_s - lasts_s), at_s)
+    return config.scale * departures(config.demand, max(begin_s, at_s - lasts_s), at_s)
 
 
 def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
@@ -144,7 +144,7 @@ def departures(routes: tuple[Path, ...], from_s: float, to_s: float) -> float:
                 end_s = sumocfg.seconds(attributes.get("end", str(to_s)))
                 within_s = max(0.0, min(end_s, to_s) - max(begin_s, from_s))
                 n += within_s * _rate(attributes, end_s - begin_s)
-        except ValueError:  # a departure that is no time, such as "triggered"
+        except (ValueError, ZeroDivisionError):  # a departure such as "triggered", or a period that SUMO refuses
             return
 
     for path in routes:
@@ -160,4 +160,7 @@ def _rate(flow: Attributes, lasts_s: float) -> float:
     for name, factor in per_s.items():
         if name in flow:
             return float(flow[name]) * factor
-    return 1 / float(flow["period"]) if "period" in flow else 0.0
+    period = flow.get("period", "inf")
+    if period.startswith("exp("):  # exp(RATE): random gaps
+        return float(period[4:].rstrip(") "))
+    return 1 / float(period)

@@ -90,9 +90,9 @@ class FlowCounts:
         self.n_overlapping += len(overlapping(boxes))
 
     def report(self) -> dict[str, Any]:
-        """Shares of vehicles over all steps, or that only pedestrians were on the road."""
+        """Shares of vehicles over all steps, or that only pedestrians or nobody was on the road."""
         if not self.n_vehicles:
-            return {"pedestrians_only": True} if self.n_pedestrians else {}
+            return {"pedestrians_only": True} if self.n_pedestrians else {"nobody_on_road": True}
         found = {"vehicles_standing_p": round(self.n_standing / self.n_vehicles, 3)}
         mean = self.n_vehicles / self.n_steps
         if mean >= _MANY and self.n_first < _FILLING_P * mean:
@@ -178,6 +178,8 @@ def _begin_remarks(summary: dict[str, Any]) -> list[str]:
             f"note: no vehicle was on the road: the first of the scenario departs at {first_s:g} s. "
             f"Set traffic.begin_s = {begin_s:g}."
         )
+    elif summary.get("nobody_on_road") and "ended_early" not in summary:
+        found.append("note: nobody was on the road. Does the demand contain vehicles, and at this time?")
     if summary.get("pedestrians_only"):
         found.append("note: only pedestrians were on the road, and no vehicle.")
     n_at_begin = summary.get("actors_at_trace_begin", 0)

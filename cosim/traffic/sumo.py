@@ -157,7 +157,7 @@ class SumoTraffic:
         """The first departure of the demand, if nobody was ever on the road."""
         if self._counts.n_vehicles or self._counts.n_pedestrians:
             return {}
-        if (first_s := first_departure_s(sumocfg.read(self._config).routes)) is None:
+        if (first_s := first_departure_s(sumocfg.read(self._config).demand)) is None:
             return {}
         return {"first_departure_s": first_s, "warmup_s": self._warmup_s}
 

@@ -38,7 +38,18 @@ def test_of_a_trace_and_of_flows(tmp_path):
     assert vehicles_on_road(load(None, [f"traffic.scenario={write_trace(tmp_path)}"])) == 8
     town = write_town(tmp_path / "town")
     assert departures((town.parent / "town.rou.xml",), 10.0, 22.0) == pytest.approx(13)
-    assert 5 < vehicles_on_road(load(None, [f"traffic.scenario={town}", "traffic.warmup_s=30"])) < 60
+    set_town = [f"traffic.scenario={town}", "traffic.warmup_s=30"]
+    there = vehicles_on_road(load(None, set_town))
+    assert 5 < there < 60
+    as_additional = town.read_text().replace('<route-files value="town.rou.xml"/>', "")
+    as_additional = as_additional.replace('<additional-files value="', '<additional-files value="town.rou.xml,')
+    assert "route-files" not in as_additional
+    town.with_name("other.sumocfg").write_text(as_additional)
+    other = [f"traffic.scenario={town.with_name('other.sumocfg')}", "traffic.warmup_s=30"]
+    assert vehicles_on_road(load(None, other)) == there
+    odd = tmp_path / "odd.rou.xml"
+    odd.write_text('<routes><flow id="f" begin="0" period="exp(0.5)"/><flow id="g" begin="0" period="0"/></routes>')
+    assert departures((odd,), 10.0, 22.0) == pytest.approx(6)
 
 
 def test_a_finished_run_answers_for_its_own_half_hour(tmp_path, monkeypatch):

@@ -213,7 +213,8 @@ def test_traffic_that_begins_later_is_named_with_its_time(scenario, tmp_path):
         return '<routes><vehicle id="v" depart="3:00:00"><route edges="ab bd"/></vehicle></routes>'
 
     config = edited(scenario, tmp_path, "odd.rou.xml", later)
-    config.write_text(config.read_text().replace('<end value="700"/>', ""))
+    text = config.read_text().replace('<end value="700"/>', "").replace('<route-files value="odd.rou.xml"/>', "")
+    config.write_text(text.replace("odd.add.xml", "odd.rou.xml,odd.add.xml"))  # additional files may have demand, too
     sets = (f"traffic.scenario={config}", "traffic.duration_s=20", "traffic.warmup_s=30", "fleet.penetration_p=1")
     done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0, done.stderr
@@ -433,3 +434,11 @@ def test_a_run_that_began_on_empty_streets_says_so():
     summary = {"vehicles_on_road_first": 3, "vehicles_on_road_mean": 41.2}
     (line,) = traffic_remarks(summary)
     assert line.startswith("note: 3 vehicles were on the road when recording began, and 41 on the mean")
+
+
+def test_an_empty_road_is_told():
+    report = FlowCounts().report()
+    (note,) = traffic_remarks(report)
+    assert "nobody was on the road" in note
+    (note,) = traffic_remarks(report | {"first_departure_s": 90.0})
+    assert "departs at 90 s" in note
