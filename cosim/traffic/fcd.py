@@ -124,7 +124,7 @@ def _xml(path: Path) -> Iterator[Timestep]:
         root = root or name
         if name == "timestep":
             in_timestep, time_s = True, _seconds(path, attributes.get("time", ""))
-        elif in_timestep and name in ("vehicle", "person"):
+        elif in_timestep and name in ("vehicle", "person", "container"):
             try:
                 pose = [float(attributes[k]) for k in _COLUMNS]
                 pose.append(float(attributes.get("z", 0.0)))

@@ -285,6 +285,16 @@ def test_persons_in_tables(tmp_path, head, rows, shapes):
     assert dict(zip(who.names, who.shape.tolist(), strict=True)) == shapes
 
 
+def test_containers_in_xml_are_left_out_and_counted(tmp_path):
+    """As in tables, where SUMO writes them into the columns of vehicles."""
+    what = 'id="{}" x="{}" y="0" angle="90" speed="0" type="{}"/>'
+    car, box = "<vehicle " + what.format("a", 5, "car"), "<container " + what.format("b", 9, "DEFAULT_CONTAINERTYPE")
+    path = tmp_path / "fcd.xml"
+    path.write_text(f'<fcd-export><timestep time="0">{car}{box}</timestep></fcd-export>')
+    worlds, report, _ = replay(path)
+    assert list(worlds[-1]) == ["a"] and report["actors_left_out"] == {"container": 1}
+
+
 def test_columns_named_after_a_person_may_hold_vehicles(tmp_path):
     """SUMO names all columns after its first element; without types nobody can tell."""
     head = "timestep_time;person_id;person_x;person_y;person_angle;person_speed\n"
