@@ -58,7 +58,8 @@ class Sumocfg:
     def demand(self) -> tuple[Path, ...]:
         """The files with vehicles and persons. Additional files may contain them, too."""
         others = dict.fromkeys((*self.additional, *self.included))
-        return (*self.routes, *(path for path in others if any(contains(path, text) for text in _DEMAND)))
+        found = [path for path in others if any(contains(path, text) for text in _DEMAND)]
+        return (*self.routes, *found)
 
     @property
     def buildings(self) -> tuple[Path, ...]:
