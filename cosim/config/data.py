@@ -61,6 +61,11 @@ def assign(data: Any, name: str, value: Any, said: str) -> None:
     """Set the key `name` in plain data. `said` is the user's text, for error messages."""
     *sections, last = name.split(".")
     for section, inner in pairwise([*sections, last]):
+        if sections[0] == "attacks" and section == str(len(data)) and inner != "attack":
+            raise ValueError(
+                f"{said}: attacks has {section} sections, numbered from 0. To add one, say first what it is: "
+                f"attacks.{section}.attack."
+            )
         data = _item(data, section, said, inner.isdecimal())
         if not isinstance(data, dict | list):
             raise ValueError(f"{said}: {section} is a value, not a section.")

@@ -175,7 +175,7 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
     if measuring.own:
         measuring = replace(measuring, own=_beside("measure.own", measuring.own, path.parent))
         function(f"measure.own in {where}", measuring.own)
-    base: dict[str, Any] = {}
+    base = configs.with_defaults({})
     if head.config:
         beside = path.parent / head.config
         named = beside if beside.is_file() else Path(head.config)

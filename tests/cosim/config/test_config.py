@@ -113,6 +113,7 @@ def test_steps():
         ("seed.x=1", "unknown key|section|valid"),
         ("fleet.equipped_kinds=['tank']", "fleet.equipped_kinds"),
         ("attacks.0.share_p=0.95", "more than all equipped"),
+        ("attacks.2.share_p=0.1", r"attacks has 2 sections, numbered from 0\. .* what it is: attacks\.2\.attack\.$"),
         ("fleet.malicious_p=0.95", "fleet.malicious_p: unknown key"),
         ("sensing_interval_s=0.7", "not a multiple of traffic.step_s"),
         ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),

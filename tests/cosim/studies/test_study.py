@@ -56,6 +56,13 @@ encounters.0.radius_m = [50, 80]
     assert (other.seed, other.traffic.seed) == (one.seed + 1, one.traffic.seed + 1)
 
 
+def test_a_quoted_key_of_the_base_changes_the_default_attacks(tmp_path):
+    """As --set does. It took the place of the list of attacks, and the unreliable vehicles were gone."""
+    text = HEAD + '"attacks.0.share_p" = 0.25\n[grid]\ntrust.freshness_s = [5]\n'
+    first, second = points(tmp_path, text)[0].config.attacks
+    assert (first.attack, first.share_p, second.attack) == ("ghost_insertion", 0.25, "unreliable")
+
+
 def test_a_value_may_stand_twice_in_a_zip_but_no_row(tmp_path):
     text = HEAD + "[[zip]]\nradio.range_m = [100, 100, 200]\ntrust.freshness_s = [5, 10, 5]\n"
     assert len(points(tmp_path, text)) == 2 * 3
