@@ -1,5 +1,6 @@
 """Commands for authors of extensions: `new` writes an example, `try` checks a class."""
 
+import shlex
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
@@ -32,8 +33,9 @@ def new(
     except OSError as error:
         raise ValueError(f"{path} cannot be written: {error.strerror or error}. Give another name.") from None
     name = f"{path}:My{kind.capitalize()}"
-    lines = [f"wrote {path}", "check it:  " + f"cosim try {name}", f"use it:    {_use(kind, name)}"]
-    screen.print("\n".join(lines), soft_wrap=True)
+    screen.print(f"wrote {path}", soft_wrap=True)
+    screen.print(f"check it:  cosim try {shlex.quote(name)}", soft_wrap=True)
+    screen.print(f"use it:    {_use(kind, name)}", soft_wrap=True)
 
 
 def _use(kind: str, name: str) -> str:
@@ -41,9 +43,9 @@ def _use(kind: str, name: str) -> str:
     from cosim.door.kinds import KINDS
 
     if kind == "exporter":
-        return f"cosim export {name} RUN --out FOLDER"
+        return f"cosim export {shlex.quote(name)} RUN --out FOLDER"
     if kind == "metric":
-        return f"cosim measure RUN --metric {name}"
+        return f"cosim measure RUN --metric {shlex.quote(name)}"
     section = KINDS[kind].section
     head, share = ("[[attacks]]", "\n           share_p = 0.2") if kind == "attack" else (f"[{section}]", "")
     return f'in the config\n           {head}\n           {KINDS[kind].key} = "{name}"{share}'

@@ -38,6 +38,11 @@ def test_new_writes_a_working_example_and_says_how_to_go_on(tmp_path, kind):
     assert len([line for line in path.read_text().splitlines() if line.strip()]) < 45
 
 
+def test_commands_that_new_names_can_be_pasted(tmp_path):
+    said, *_ = call("new", "metric", tmp_path / "my own.py")
+    assert said.replace("\n", "").count("my own.py:MyMetric'") == 2
+
+
 def test_new_writes_over_nothing(tmp_path):
     (tmp_path / "mine.py").write_text("mine")
     _, status, error = call("new", "trust", tmp_path / "mine.py")
