@@ -419,6 +419,7 @@ def plot(
     from results.figures.catalogue import FIGURES
 
     is_of_addon = what not in FIGURES  # sweep, scene and movie, which take vehicles and a step
+    draw_of_addon = hook(f"plot {what}", f"cosim plot {what}") if is_of_addon else None
     if step is not None and not is_of_addon:
         raise ValueError(f"--step goes with `cosim plot sweep` or scene, not with {what}. Leave it out.")
     options = {"vehicles": vehicles, "radius_m": radius_m, "pairs": pairs}
@@ -430,8 +431,8 @@ def plot(
             named = " or ".join(takers)
             raise ValueError(f"--{flag} goes with `cosim plot {named}`, not with {what}. Leave it out.")
     chosen = _chosen(runs, variant)
-    if is_of_addon:
-        path = hook(f"plot {what}", f"cosim plot {what}")(chosen, vehicles or [], step, out)
+    if draw_of_addon is not None:
+        path = draw_of_addon(chosen, vehicles or [], step, out)
     else:
         drawn = FIGURES[what](chosen, **given)
         path = style.save(drawn, out or runs[0] / f"{what}.png")

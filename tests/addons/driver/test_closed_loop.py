@@ -77,7 +77,9 @@ from cosim.traffic.sumo_process import Simulator
 
 with tempfile.TemporaryDirectory() as scratch:
     config = find("helsinki").sumocfg
-    sumo = Simulator(sumo_options(TrafficParams(step_s=0.5), config, Path(scratch), True), True, (0.0, 0.0))
+    options = sumo_options(TrafficParams(step_s=0.5), config, Path(scratch), True)
+    options[options.index("--no-warnings") + 1] = "true"  # that some brake as hard as they are told
+    sumo = Simulator(options, True, (0.0, 0.0))
 while sumo.warm_up(120.0) < 120.0:
     pass
 rng, checked, forced, wanted = np.random.default_rng(1), 0, 0, {}

@@ -437,7 +437,7 @@ def test_a_run_that_began_on_empty_streets_says_so():
 
 
 def test_an_empty_road_is_told():
-    report = FlowCounts().report()
+    report = FlowCounts(dt_s=1.0).report()
     (note,) = traffic_remarks(report)
     assert "nobody was on the road" in note
     (note,) = traffic_remarks(report | {"first_departure_s": 90.0})
