@@ -16,7 +16,7 @@ CORES: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 """Most threads: one per core that this process may use, or what the variable NUMBA_NUM_THREADS says."""
 _RANGES_PER_THREAD = 4  # some have more work than others
 _TRIED_OF = 256  # so few items are tried that doing them in one thread costs nothing
-_WORTH_S = 1e-3  # less is not worth to wake threads and to wait for them
+_WORTH_S = 1e-3  # for less, it does not pay to wake threads and to wait for them
 _of_this_thread = threading.local()
 
 

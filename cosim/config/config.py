@@ -69,9 +69,9 @@ class ComputeParams:
     """Use of the processor. No key of this section changes a result."""
 
     threads: Annotated[int, Ge(0), Le(1024)] = 0
-    """Number of threads of the compiled kernels, at most one per core. 0 uses one thread per hundred equipped vehicles.
-    Unless this is 1, one more thread computes the sensing of the next step in advance. It does not do so if a driver
-    commands the traffic."""
+    """Number of threads that divide the work of a step, at most one per core. 0 uses one per hundred equipped vehicles.
+    Unless this is 1, one more thread computes the sensing of the next step in advance, and another one fuses and
+    records the step before. They do not do so if a driver commands the traffic."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -144,11 +144,13 @@ def compare_objects(
 
 _PART = 16_384
 """Detections in the lists that are compared at once. Columns of so many stay in a core's cache."""
+_MOST_PARTS = 64
+"""Each part needs memory for all detections of the step: with ever more parts, time would grow as the square."""
 
 
 def _bounds(ptr: Int[ndarray, "e+1"]) -> list[int]:
-    """The lists at which parts of some `_PART` members begin, and the end of the last part."""
-    n = max(1, int(ptr[-1]) // _PART)
+    """The lists at which parts of some `_PART` members or more begin, and the end of the last part."""
+    n = min(max(1, int(ptr[-1]) // _PART), _MOST_PARTS)
     begins = ptr[-1] * np.arange(n) // n
     lists = np.searchsorted(ptr, begins)
     return [*lists.tolist(), len(ptr) - 1]
