@@ -52,6 +52,9 @@ def test_links_by_hand():
         d = np.array([np.linalg.norm(xyz[sender] - xyz[receiver])])
         expected = 23 - tr37885_db(d, np.array([hidden]), "urban")
         assert 10 * np.log10(links.power_mw[at]) == pytest.approx(expected, abs=1e-4)
+    found = pairs(xyz, PropagationParams(**PLAIN), ONE, los)
+    nlos = {frozenset(pair): hidden for *pair, hidden in zip(found.a, found.b, found.nlos, strict=True)}
+    assert nlos == {frozenset((0, 1)): True, frozenset((0, 2)): False, frozenset((1, 2)): False}
 
 
 def test_loss_per_wall_and_metre():
@@ -60,6 +63,14 @@ def test_loss_per_wall_and_metre():
     # Two walls and 4 m: 2 x 9 + 4 x 0.4 = 19.6 dB more than free space.
     params = PropagationParams(model="free_space", walls="sommer", **PLAIN)
     assert pairs(xyz, params, ONE, los).loss_db - pairs(xyz, params, ONE).loss_db == pytest.approx(19.6)
+
+
+@pytest.mark.parametrize(("tx_power_dbm", "n"), [(0.0, 0), (10.0, 1)])
+def test_power_decides_what_counts(tx_power_dbm, n):
+    xyz = np.array([[0.0, 0.0, 1.5], [300.0, 0.0, 1.5]])
+    params = PropagationParams(model="log_distance", tx_power_dbm=tx_power_dbm, **PLAIN)  # 115.98 dB
+    links = links_between(xyz, np.array([1, 2], np.uint64), params, ONE)
+    assert links.ptr.tolist() == [0, n, 2 * n]
 
 
 def test_a_link_is_a_function_of_the_positions():
@@ -109,6 +120,7 @@ def test_at_most_one_station():
     for n in (0, 1):
         links = links_between(np.zeros((n, 3)), np.arange(n, dtype=np.uint64), PropagationParams(), ONE)
         assert links.ptr.tolist() == [0] * (n + 1)
+        assert len(pairs(np.zeros((n, 3)), PropagationParams(), ONE).a) == 0
 
 
 def test_faults_are_named():
