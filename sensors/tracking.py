@@ -1,7 +1,10 @@
-"""Tracks of the objects that each vehicle detects: constant-velocity Kalman filters of all vehicles at once.
+"""Tracks of the objects that each vehicle detects: Kalman filters of all vehicles at once.
 
 A track belongs to one observer. It is predicted over the time that has passed since its observer last sensed, so
 observers may sense at different moments and rates. Tracks of observers that do not sense are left as they are.
+
+Each track has two filters with nearly constant velocity. One is for an object that keeps its velocity, the other for
+one that speeds up, brakes or turns. They exchange what they know, by the probability of each.
 """
 
 from __future__ import annotations
@@ -16,9 +19,10 @@ from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.base.kernel import compiled
+from cosim.base.kernel import compiled, inlined
 from cosim.base.ragged import ranges, stable_order
 from cosim.base.rows import Rows
+from cosim.base.threads import in_ranges
 
 _Positive = Annotated[float, Gt(0), Le(1000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
@@ -38,12 +42,19 @@ class TrackingParams:
     """
 
     model: Literal["none", "constant_velocity"] = "none"
-    """`none`: detected objects have no velocity. `constant_velocity`: one Kalman filter per object."""
-    acceleration_noise: Positive = (1.5, 0.2, 0.7, 1.5)
-    """Spectral density of the random acceleration along each axis [m2/s3]: by this much the variance of the velocity
-    grows per second."""
-    position_sigma_m: Positive = (0.15, 0.06, 0.1, 0.3)
-    """Standard deviation of the position of a detection along each axis [m]."""
+    """`none`: detected objects have no velocity. `constant_velocity`: Kalman filters with nearly constant velocity."""
+    steady_noise: Positive = (0.001, 0.002, 0.0005, 0.001)
+    """Spectral density of the random acceleration of an object that keeps its velocity, along each axis [m2/s3]: by
+    this much the variance of the velocity grows per second."""
+    acceleration_noise: Positive = (2.5, 0.5, 0.6, 5.0)
+    """That of an object that speeds up, brakes or turns [m2/s3]."""
+    accelerating_p: Annotated[float, Ge(0), Lt(1)] = 0.2
+    """Share of the time in which an object speeds up, brakes or turns."""
+    motion_memory_s: Annotated[float, Gt(0), Le(1000)] = 2.0
+    """After this time, 1/e of the objects have gone on as they moved without a chance to change [s]."""
+    position_sigma_m: Positive = (0.08, 0.1, 0.07, 0.15)
+    """Standard deviation of what is new in the error of a detection's position, along each axis [m]: a detector repeats
+    a part of its error."""
     along_mean_mps: NotNegative = (6.0, 0.6, 3.0, 6.0)
     """Expected speed of a new track along the heading of its detection [m/s]."""
     along_sigma_mps: Positive = (4.5, 1.0, 3.0, 4.5)
@@ -56,7 +67,7 @@ class TrackingParams:
     """Share of the observer's own speed that the standard deviation of the speed is at least, likewise."""
     gate_p: _Share = 0.99
     """Probability that the next detection of a tracked object is inside the track's gate."""
-    other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.005
+    other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.001
     """Density of the detections near a track that are not of its object, in one sweep [1/m2]. A detection may continue
     a track only if the track predicts it with a higher density."""
     confirm_hits: Annotated[int, Ge(1), Le(1000)] = 3
@@ -116,13 +127,13 @@ class Tracks(Rows):
     """Time of the first detection."""
     last_s: Float[ndarray, "n"]
     """Time of the last detection."""
-    xy_m: Float[ndarray, "n 2"]
-    velocity_mps: Float[ndarray, "n 2"]
     axis: Float[ndarray, "n 2"]
     """Unit vector along the heading of the first detection. Errors along and across it are independent."""
-    covariance: Float[ndarray, "n 2 3"]
-    """Along and across `axis`: variance of the position, covariance of position and velocity, variance of the
-    velocity."""
+    motion_p: Float[ndarray, "n 2"]
+    """Probabilities that the object keeps its velocity, and that it does not."""
+    motion: Float[ndarray, "n 2 2 5"]
+    """For each of these cases, along and across `axis`: place, velocity, variance of the place, covariance of both,
+    and variance of the velocity."""
     existence: Float[ndarray, "n"]
     """Log-odds that the object exists, at the last detection."""
 
@@ -134,7 +145,6 @@ class Tracks(Rows):
         """No tracks."""
         number = np.zeros(0, np.int64)
         real = np.zeros(0)
-        pair = np.zeros((0, 2))
         return Tracks(
             observer=number,
             object_id=number,
@@ -143,10 +153,9 @@ class Tracks(Rows):
             time_s=real,
             first_s=real,
             last_s=real,
-            xy_m=pair,
-            velocity_mps=pair,
-            axis=pair,
-            covariance=np.zeros((0, 2, 3)),
+            axis=np.zeros((0, 2)),
+            motion_p=np.zeros((0, 2)),
+            motion=np.zeros((0, 2, 2, 5)),
             existence=real,
         )
 
@@ -271,18 +280,19 @@ def track(
     joined = Tracks.concat([again, new, tracks.take(missed), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[np.append(d, fresh)] = np.arange(len(found))
-    velocity_mps = joined.velocity_mps[of_detection]
-    velocity_mps[joined.n_hits[of_detection] < params.confirm_hits] = np.nan
-    age_s = (joined.time_s - joined.first_s)[of_detection]
+    of_detections = joined.take(of_detection)
+    motion = mean_motion(of_detections)
+    velocity_mps = _east_and_north(motion[:, :, _VELOCITY], of_detections.axis)
+    velocity_mps[of_detections.n_hits < params.confirm_hits] = np.nan
     order = stable_order(joined.object_id)
     tracks = joined.take(order.take(stable_order(joined.observer.take(order))))
     return TrackMemory(tracks, known, n_objects), ObjectStates(
-        object_id=joined.object_id[of_detection],
-        age_s=age_s,
+        object_id=of_detections.object_id,
+        age_s=of_detections.time_s - of_detections.first_s,
         velocity_mps=velocity_mps,
-        existence_p=scipy.special.expit(joined.existence[of_detection]),
-        axis=joined.axis[of_detection],
-        variance=joined.covariance[of_detection, :, 2],
+        existence_p=scipy.special.expit(of_detections.existence),
+        axis=of_detections.axis,
+        variance=motion[:, :, _VV],
     )
 
 
@@ -307,21 +317,30 @@ def predicted(tracks: Tracks, time_s: Float[ndarray, "n"], params: TrackingParam
 
     Returns
     -------
-    The tracks with new times, positions and covariances.
+    The tracks with new times and motions.
 
     Notes
     -----
-    With t the elapsed time and q the spectral density: x += v t, P_xx += 2 t P_xv + t² P_vv + q t³ / 3,
-    P_xv += t P_vv + q t² / 2, P_vv += q t. Two predictions by half the time equal one.
+    Interacting multiple models [1]_: each filter begins with the mixture of what both know, weighted by the chances
+    that an object which now moves in its way moved in the other before. In t seconds it has had a chance to change with
+    probability 1 - exp(-t / motion_memory_s), and then accelerates with probability `accelerating_p`.
+    With q the spectral density: x += v t, P_xx += 2 t P_xv + t² P_vv + q t³ / 3, P_xv += t P_vv + q t² / 2,
+    P_vv += q t.   Deviations: mixtures leave the errors along and across the axis independent.
+
+    .. [1] H. A. P. Blom, Y. Bar-Shalom, The interacting multiple model algorithm for systems with Markovian switching
+       coefficients, IEEE Transactions on Automatic Control 33(8), 1988.
     """
-    t = (time_s - tracks.time_s)[:, None]
-    q = np.asarray(params.acceleration_noise)[tracks.label][:, None]
-    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    xx = xx + t * (2 * xv + t * (vv + q * t / 3))
-    xv = xv + t * (vv + q * t / 2)
-    vv = vv + q * t
-    covariance = np.stack([xx, xv, vv], axis=2)
-    return replace(tracks, time_s=time_s, xy_m=tracks.xy_m + t * tracks.velocity_mps, covariance=covariance)
+    motion_p, motion = tracks.motion_p.copy(), tracks.motion.copy()
+    noise = np.column_stack([params.steady_noise, params.acceleration_noise])[tracks.label]
+    elapsed_s = time_s - tracks.time_s
+    usual = np.array([1.0 - params.accelerating_p, params.accelerating_p])
+    kept = np.exp(-elapsed_s / params.motion_memory_s)
+
+    def predict(begin: int, end: int) -> None:
+        _predict(begin, end, elapsed_s, kept, usual, noise, motion_p, motion)
+
+    in_ranges(predict, len(tracks))
+    return replace(tracks, time_s=time_s, motion_p=motion_p, motion=motion)
 
 
 def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
@@ -338,45 +357,129 @@ def updated(tracks: Tracks, found: Found, params: TrackingParams) -> Tracks:
 
     Returns
     -------
-    The tracks with new states, covariances, classes and existence.
+    The tracks with new motions, classes and existence.
 
     Notes
     -----
     A detection t seconds later measures x + t v, whose covariances with x and v are a = P_xx + t P_xv and
     b = P_xv + t P_vv. With r the variance of a detection, y the innovation and s = a + t b + r, along and across the
     axis: x += a y / s, v += b y / s, P_xx -= a² / s, P_xv -= a b / s, P_vv -= b² / s. The random acceleration within
-    the sweep is left out.
+    the sweep is left out. Bayes' rule changes the probabilities of both motions by the densities of the detection.
     """
-    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    a, b, s = _measured(tracks, found, params)
-    gain_x, gain_v = a / s, b / s
-    xx = xx - gain_x * a
-    xv = xv - gain_v * a
-    vv = vv - gain_v * b
-    innovation_m = _along_and_across(_innovation_m(tracks, found), tracks.axis)
+    motion_p, motion = tracks.motion_p.copy(), tracks.motion.copy()
+    place = _along_and_across(found.xy_m, tracks.axis)
+    variance = _position_variance(found.label, params)
+
+    def update(begin: int, end: int) -> None:
+        _update(begin, end, place, found.after_s, variance, motion_p, motion)
+
+    in_ranges(update, len(tracks))
     return replace(
         tracks,
         label=found.label,
         n_hits=tracks.n_hits + 1,
         last_s=tracks.time_s,
-        xy_m=tracks.xy_m + _east_and_north(gain_x * innovation_m, tracks.axis),
-        velocity_mps=tracks.velocity_mps + _east_and_north(gain_v * innovation_m, tracks.axis),
-        covariance=np.stack([xx, xv, vv], axis=2),
+        motion_p=motion_p,
+        motion=motion,
         existence=tracks.existence + existence_gain(found.score, tracks.time_s - tracks.last_s, params),
     )
 
 
-def _measured(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[ndarray, ndarray, ndarray]:
-    """Along and across the axis: covariances of a detection with position and velocity, and its variance."""
-    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    t = found.after_s[:, None]
-    a, b = xx + t * xv, xv + t * vv
-    return a, b, a + t * b + _position_variance(found.label, params)
+def mean_motion(tracks: Tracks) -> Float[ndarray, "n 2 5"]:
+    """Mean and covariance of place and velocity of each track, along and across its axis, in the order of `motion`."""
+    found = np.empty((len(tracks), 2, 5))
+
+    def mix(begin: int, end: int) -> None:
+        _mix(begin, end, tracks.motion_p, tracks.motion, found)
+
+    in_ranges(mix, len(tracks))
+    return found
 
 
-def _innovation_m(tracks: Tracks, found: Found) -> Float[ndarray, "n 2"]:
-    """How far each detection is from where its track expects it, east and north."""
-    return found.xy_m - tracks.xy_m - found.after_s[:, None] * tracks.velocity_mps
+def places_m(tracks: Tracks) -> Float[ndarray, "n 2"]:
+    """Where each track expects its object, east and north."""
+    return _east_and_north(mean_motion(tracks)[:, :, _PLACE], tracks.axis)
+
+
+_PLACE, _VELOCITY, _XX, _XV, _VV = range(5)
+"""Columns of `Tracks.motion`."""
+
+
+@inlined
+def _mixed(steady_p, motion, axis, out):
+    """Write mean and covariance of a mixture of both motions along one axis."""
+    accelerating_p = 1.0 - steady_p
+    steady, accelerating = motion[0, axis], motion[1, axis]
+    x = steady[_PLACE] - accelerating[_PLACE]
+    v = steady[_VELOCITY] - accelerating[_VELOCITY]
+    both_p = steady_p * accelerating_p
+    for column in range(5):
+        out[column] = steady_p * steady[column] + accelerating_p * accelerating[column]
+    out[_XX] += both_p * x * x
+    out[_XV] += both_p * x * v
+    out[_VV] += both_p * v * v
+
+
+@compiled
+def _mix(begin, end, motion_p, motion, out):
+    """Write the mixture of each track."""
+    for i in range(begin, end):
+        for axis in range(2):
+            _mixed(motion_p[i, 0], motion[i], axis, out[i, axis])
+
+
+@compiled
+def _predict(begin, end, elapsed_s, kept, usual, noise, motion_p, motion):
+    """Move tracks on, in place; `kept` is the probability that nothing changed, `usual` that of each motion."""
+    mixed = np.empty((2, 2, 5))
+    steady_p = np.empty(2)
+    for i in range(begin, end):
+        t = elapsed_s[i]
+        for j in range(2):
+            changed = (1.0 - kept[i]) * usual[j]
+            own = kept[i] * motion_p[i, j]
+            total = own + changed
+            from_steady = changed * motion_p[i, 0] + (own if j == 0 else 0.0)
+            steady_p[j] = total
+            share = from_steady / total if total > 0.0 else 1.0 - j
+            for axis in range(2):
+                _mixed(share, motion[i], axis, mixed[j, axis])
+        for j in range(2):
+            motion_p[i, j] = steady_p[j]
+            q = noise[i, j]
+            for axis in range(2):
+                x, v, xx, xv, vv = mixed[j, axis]
+                motion[i, j, axis, _PLACE] = x + v * t
+                motion[i, j, axis, _VELOCITY] = v
+                motion[i, j, axis, _XX] = xx + t * (2.0 * xv + t * (vv + q * t / 3.0))
+                motion[i, j, axis, _XV] = xv + t * (vv + q * t / 2.0)
+                motion[i, j, axis, _VV] = vv + q * t
+
+
+@compiled
+def _update(begin, end, place, after_s, variance, motion_p, motion):
+    """Give tracks one detection each, in place."""
+    log_p = np.empty(2)
+    for i in range(begin, end):
+        t = after_s[i]
+        for j in range(2):
+            log_p[j] = 0.0
+            for axis in range(2):
+                x, v, xx, xv, vv = motion[i, j, axis]
+                a, b = xx + t * xv, xv + t * vv
+                s = a + t * b + variance[i]
+                y = place[i, axis] - x - t * v
+                log_p[j] -= 0.5 * (y * y / s + np.log(s))
+                motion[i, j, axis, _PLACE] = x + a / s * y
+                motion[i, j, axis, _VELOCITY] = v + b / s * y
+                motion[i, j, axis, _XX] = xx - a / s * a
+                motion[i, j, axis, _XV] = xv - b / s * a
+                motion[i, j, axis, _VV] = vv - b / s * b
+        most = max(log_p[0], log_p[1])
+        steady = motion_p[i, 0] * np.exp(log_p[0] - most)
+        accelerating = motion_p[i, 1] * np.exp(log_p[1] - most)
+        motion_p[i, 0] = steady / (steady + accelerating)
+        motion_p[i, 1] = 1.0 - motion_p[i, 0]
 
 
 def begun(
@@ -402,10 +505,13 @@ def begun(
     label, time_s = found.label, observers.time_s[row]
     mean_mps, sigma_mps = expected_speed(label, found.limit_mps, observers.speed_mps[row], params)
     axis = np.column_stack([np.cos(found.yaw_rad), np.sin(found.yaw_rad)])
-    velocity_mps = mean_mps[:, None] * axis
     t = found.after_s[:, None]
+    v = np.column_stack([mean_mps, np.zeros(len(found))])
     vv = np.column_stack([sigma_mps, np.asarray(params.across_sigma_mps)[label]]) ** 2
-    xx = _position_variance(label, params) + t * t * vv
+    xx = _position_variance(label, params)[:, None] + t * t * vv
+    place = _along_and_across(found.xy_m, axis) - t * v
+    motion = np.stack([place, v, xx, -t * vv, vv], axis=2)
+    usual = 1.0 - params.accelerating_p, params.accelerating_p
     return Tracks(
         observer=found.observer,
         object_id=object_id,
@@ -414,18 +520,17 @@ def begun(
         time_s=time_s,
         first_s=time_s,
         last_s=time_s,
-        xy_m=found.xy_m - t * velocity_mps,
-        velocity_mps=velocity_mps,
         axis=axis,
-        covariance=np.stack([xx, -t * vv, vv], axis=2),
+        motion_p=np.tile(usual, (len(found), 1)),
+        motion=np.repeat(motion[:, None], 2, axis=1),
         existence=params.existence_new + _of_score(found.score, params),
     )
 
 
-def _position_variance(label: UInt8[ndarray, "d"], params: TrackingParams) -> Float[ndarray, "d 1"]:
+def _position_variance(label: UInt8[ndarray, "d"], params: TrackingParams) -> Float[ndarray, "d"]:
     """Variance of the position of detections, along each axis [m2]."""
     sigma_m = np.asarray(params.position_sigma_m)[label]
-    return (sigma_m**2)[:, None]
+    return sigma_m**2
 
 
 def expected_speed(
@@ -461,8 +566,8 @@ def expected_speed(
 def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarray, "4 2"]:
     """Variance of the velocity along and across the axis, by class, when a track first has a velocity [m2/s2].
 
-    It is that after `confirm_hits` detections `interval_s` apart. The covariances of a Kalman filter do not depend on
-    what is detected.
+    It is that of an object which speeds up, brakes or turns, after `confirm_hits` detections `interval_s` apart where
+    they were expected.
     """
     n = len(params.position_sigma_m)
     label = np.arange(n, dtype=np.uint8)
@@ -471,8 +576,10 @@ def confirmed_variance(params: TrackingParams, interval_s: float) -> Float[ndarr
     found = Found(number, label, np.zeros((n, 2)), zero, half, unknown, zero)
     tracks = begun(found, number, Observers(number, zero, zero), number, params)
     for hit in range(1, params.confirm_hits):
-        tracks = updated(predicted(tracks, np.full(n, hit * interval_s), params), found, params)
-    return tracks.covariance[:, :, 2]
+        tracks = predicted(tracks, np.full(n, hit * interval_s), params)
+        expected = replace(found, xy_m=mean_motion(tracks)[:, :, _PLACE])
+        tracks = updated(tracks, expected, params)
+    return tracks.motion[:, 1, :, _VV]
 
 
 def existence_gain(
@@ -545,24 +652,20 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
        multi-object tracking, arXiv 1508.04124, 2015.
     """
     gate = -2 * np.log1p(-params.gate_p)
-    # No detection farther away than the longer half axis of the gate is inside: most pairs need no more than this.
-    xx, xv, vv = np.moveaxis(tracks.covariance, 2, 0)
-    after_s = np.abs(found.after_s).max(initial=0.0)
-    more_m2 = after_s * (2.0 * np.abs(xv) + after_s * vv)
-    track_m2 = (xx + more_m2).max(axis=1, initial=0.0)
-    gate_m = np.sqrt(gate * (track_m2 + max(params.position_sigma_m) ** 2))
-    reach_m = (gate_m + after_s * np.hypot(*tracks.velocity_mps.T)) * (1 + 1e-9)
+    xy_m = places_m(tracks), np.ascontiguousarray(found.xy_m)
     first, end = (np.searchsorted(found.observer, tracks.observer, side) for side in ("left", "right"))
-    xy_m = np.ascontiguousarray(tracks.xy_m), np.ascontiguousarray(found.xy_m)
     groups = _CLASS_GROUP[tracks.label], _CLASS_GROUP[found.label]
+    reach_m = _reach_m(tracks, xy_m[0], found, params)
     t, d = _near(first, end, *xy_m, reach_m * reach_m, *groups)
-    of_pair, detection = tracks.take(t), found.take(d)
-    _, _, s = _measured(of_pair, detection, params)
-    innovation_m = _along_and_across(_innovation_m(of_pair, detection), of_pair.axis)
-    squared = (innovation_m * innovation_m / s).sum(axis=1)
-    log_det_s = np.log(s[:, 0] * s[:, 1])
-    constant = 2 * np.log(2 * np.pi * params.other_per_m2)
-    gain = -squared - log_det_s - constant
+    where_m = _along_and_across(found.xy_m[d], tracks.axis[t])
+    after_s, noise_m2 = found.after_s[d], _position_variance(found.label[d], params)
+    squared, log_density = np.empty(len(t)), np.empty(len(t))
+
+    def compare(begin: int, end: int) -> None:
+        _compare(begin, end, t, where_m, after_s, noise_m2, tracks.motion_p, tracks.motion, squared, log_density)
+
+    in_ranges(compare, len(t))
+    gain = 2.0 * (log_density - np.log(2.0 * np.pi * params.other_per_m2))
     rows = np.flatnonzero((squared < gate) & (gain > 0))
     t, d, gain = t[rows], d[rows], gain[rows]
     n_of_track, n_of_detection = np.bincount(t), np.bincount(d)
@@ -573,6 +676,44 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
         rows = pairs[block]
         chosen[rows] = _largest_sum(t[rows], d[rows], gain[rows])
     return t[chosen], d[chosen]
+
+
+def _reach_m(tracks: Tracks, xy_m: Float[ndarray, "n 2"], found: Found, params: TrackingParams) -> Float[ndarray, "n"]:
+    """How far from where it is expected (`xy_m`) no detection can be in the gate of a track.
+
+    That is the longer half axis of the gate of each motion, from where that motion expects the object.
+    """
+    gate = -2 * np.log1p(-params.gate_p)
+    after_s = np.abs(found.after_s).max(initial=0.0)
+    at, velocity, xx, xv, vv = np.moveaxis(tracks.motion, 3, 0)
+    most_m2 = xx + after_s * (2.0 * np.abs(xv) + after_s * vv) + max(params.position_sigma_m) ** 2
+    place = _along_and_across(xy_m, tracks.axis)
+    along, across = np.moveaxis(np.abs(at - place[:, None]) + after_s * np.abs(velocity), 2, 0)
+    reach_m = np.sqrt(gate * most_m2.max(axis=2)) + np.hypot(along, across)
+    return reach_m.max(axis=1) * (1 + 1e-9)
+
+
+@compiled
+def _compare(begin, end, track, where, after_s, noise, motion_p, motion, squared, log_density):
+    """Write for pairs the smaller squared distance of both motions, and the logarithm of their mean density x 2 pi."""
+    for k in range(begin, end):
+        i, t = track[k], after_s[k]
+        squared[k] = np.inf
+        density = 0.0
+        for j in range(2):
+            if motion_p[i, j] == 0.0:
+                continue
+            distance = 0.0
+            volume = 1.0
+            for axis in range(2):
+                x, v, xx, xv, vv = motion[i, j, axis]
+                s = xx + t * (2.0 * xv + t * vv) + noise[k]
+                y = where[k, axis] - x - t * v
+                distance += y * y / s
+                volume *= s
+            squared[k] = min(squared[k], distance)
+            density += motion_p[i, j] * np.exp(-0.5 * distance) / np.sqrt(volume)
+        log_density[k] = np.log(density) if density > 0.0 else -np.inf
 
 
 def _blocks(observer: Int[ndarray, "p"]) -> list[slice]:

@@ -21,10 +21,14 @@ from matplotlib.lines import Line2D
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import style
-from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, track
+from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, places_m, track
 from tests.sensors.one_track_at_a_time import StoneSoup
 
 PARAMS = TrackingParams(model="constant_velocity")
+ONE_MOTION = replace(
+    PARAMS, accelerating_p=0.0, steady_noise=(1.5, 0.2, 0.7, 1.5), position_sigma_m=(0.15, 0.06, 0.1, 0.3)
+)
+"""For the library, which has no interacting models."""
 BINS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0])
 COLUMNS = ["step", "observer", "detection_index", "class", "x_m", "y_m", "yaw_rad", "score", "origin", "truth_actor"]
 
@@ -70,7 +74,7 @@ def tracked(data: Recorded, every: int, params: TrackingParams = PARAMS, until_s
         own = memory.tracks
         at = np.searchsorted(own.observer << 32 | own.object_id, found.observer << 32 | state.object_id)
         states.append(state)
-        xy_m.append(own.xy_m[at])
+        xy_m.append(places_m(own)[at])
         n_hits.append(own.n_hits[at])
         assert (own.last_s[at] == step * data.dt_s).all()
     rows["object_id"] = np.concatenate([s.object_id for s in states])
@@ -95,7 +99,7 @@ def moments(data: Recorded, rows: pd.DataFrame):
 
 
 def by_library(data: Recorded, every: int, until_s: float) -> pd.DataFrame:
-    """As `tracked`, by Stone Soup, one observer at a time."""
+    """As `tracked` with `ONE_MOTION`, by Stone Soup, one observer at a time."""
     rows = data.rows[(data.rows.step % every == 0) & (data.rows.step * data.dt_s < until_s)].reset_index(drop=True)
     trackers, said = {}, []
     for step, found, observers in moments(data, rows):
@@ -105,11 +109,11 @@ def by_library(data: Recorded, every: int, until_s: float) -> pd.DataFrame:
                 (int(found.label[k]), found.xy_m[k], found.yaw_rad[k], found.score[k], np.nan)
                 for k in np.flatnonzero(found.observer == o)
             ]  # fmt: skip
-            said += trackers.setdefault(o, StoneSoup(PARAMS)).sense(step * data.dt_s, speed[o], mine)
+            said += trackers.setdefault(o, StoneSoup(ONE_MOTION)).sense(step * data.dt_s, speed[o], mine)
     rows["object_id"] = [number for number, _, _, _ in said]
     rows[["track_x_m", "track_y_m"]] = np.array([xy for _, xy, _, _ in said])
     rows["n_hits"] = [hits for _, _, _, hits in said]
-    confirmed = (rows.n_hits >= PARAMS.confirm_hits).to_numpy()[:, None]
+    confirmed = (rows.n_hits >= ONE_MOTION.confirm_hits).to_numpy()[:, None]
     rows[["vx", "vy"]] = np.where(confirmed, np.array([v for _, _, v, _ in said]), np.nan)
     return with_errors(rows)
 
@@ -214,7 +218,7 @@ def main() -> None:
             figures.append({"run": folder.name, "rate [Hz]": rate, **summary(rows, keep)})
             if asked.library_s:
                 theirs = by_library(data, every, asked.library_s)
-                ours = tracked(data, every, params, asked.library_s)
+                ours = tracked(data, every, ONE_MOTION, asked.library_s)
                 for name, one in (("cosim", ours), ("Stone Soup", theirs)):
                     said = summary(one, keep)
                     kept = ("velocity, RMS", "position, RMS", "switches", "of")

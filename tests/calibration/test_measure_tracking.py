@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from results.archive import open_run
-from tests.calibration.measure_tracking import by_library, recorded, reliability, rms, summary, switches, tracked
+from tests.calibration.measure_tracking import (
+    ONE_MOTION,
+    by_library,
+    recorded,
+    reliability,
+    rms,
+    summary,
+    switches,
+    tracked,
+)
 from tests.drive import drive
 
 LENGTH_S = 12
@@ -23,13 +32,13 @@ def data(tmp_path_factory):
 @pytest.mark.verify
 @pytest.mark.parametrize("every", [1, 5, 10])
 def test_like_stone_soup_and_near_the_truth(data, every):
-    ours, theirs = tracked(data, every), by_library(data, every, LENGTH_S)
+    ours, theirs = tracked(data, every, ONE_MOTION), by_library(data, every, LENGTH_S)
     assert (ours.object_id == theirs.object_id).mean() > 0.999
     assert switches(ours, 25)[0] == pytest.approx(switches(theirs, 25)[0], abs=2)
     for name in ("velocity_error", "position_error"):
         real = ours.is_real & ours.velocity_error.notna()
         assert rms(ours[name][real]) == pytest.approx(rms(theirs[name][theirs.velocity_error.notna() & real]), rel=0.1)
-    said = summary(ours, 25)
+    said = summary(tracked(data, every), 25)
     assert said["speed, median"] < 0.3 and said["velocity, RMS"] < 2.0
     assert said["position, RMS"] < 1.05 * said["detection, RMS"]
 

@@ -44,6 +44,46 @@ def motion(dt, q):
     return np.kron(both, f1), np.block([[q1, zero], [zero, q1]])
 
 
+def mixture(weights, states, covariances):
+    """Mean and covariance of a mixture."""
+    x = sum(w * one for w, one in zip(weights, states, strict=True))
+    parts = zip(weights, states, covariances, strict=True)
+    return x, sum(w * (cov + np.outer(one - x, one - x)) for w, one, cov in parts)
+
+
+def independent(cov, yaw_rad):
+    """The covariance without that between errors along and across this direction."""
+    turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
+    whole = np.kron(turn, np.eye(2))
+    kept = np.kron(np.eye(2), np.ones((2, 2)))
+    return whole @ (whole.T @ cov @ whole * kept) @ whole.T
+
+
+def predict(t, dt, p):
+    """Move a track by a time, by interacting multiple models."""
+    share = np.array([1 - p.accelerating_p, p.accelerating_p])
+    stay = np.exp(-dt / p.motion_memory_s)
+    change = stay * np.eye(2) + (1 - stay) * share  # from each motion (rows) to each
+    later, states, covariances = t["p"] @ change, [], []
+    for j, noise in enumerate((p.steady_noise, p.acceleration_noise)):
+        weights = t["p"] * change[:, j] / later[j] if later[j] else np.array([1.0, 0.0])
+        x, cov = mixture(weights, t["x"], t["P"])
+        f, q = motion(dt, noise[t["label"]])
+        states.append(f @ x)
+        covariances.append(f @ independent(cov, t["yaw"]) @ f.T + q)
+    t["p"], t["x"], t["P"] = later, states, covariances
+
+
+def density(t, h, xy, r):
+    """Density of a detection under each motion of a track, and the squared distances."""
+    values, squares = [], []
+    for x, cov in zip(t["x"], t["P"], strict=True):
+        s, y = h @ cov @ h.T + r, xy - h @ x
+        squares.append(y @ np.linalg.inv(s) @ y)
+        values.append(np.exp(-squares[-1] / 2) / (2 * np.pi * np.sqrt(np.linalg.det(s))))
+    return np.array(values), np.array(squares)
+
+
 class Twin:
     """All observers; `sense` is one call of `track` for one of them."""
 
@@ -51,24 +91,27 @@ class Twin:
         self.p, self.tracks, self.count = params, {}, {}
 
     def sense(self, observer, time_s, own_mps, found):
-        """`found` is a list of (label, xy, yaw, score, limit, after); returns (object_id, age, velocity, existence)."""
+        """`found` is a list of (label, xy, yaw, score, limit, after); returns (object_id, age, velocity, sum of
+        its variances, existence)."""
         p = self.p
         keep_s = p.keep_s + 1e-9
         tracks = [t for t in self.tracks.get(observer, []) if time_s - t["last"] <= keep_s]
         for t in tracks:
-            f, q = motion(time_s - t["time"], p.acceleration_noise[t["label"]])
-            t["x"], t["P"], t["time"] = f @ t["x"], f @ t["P"] @ f.T + q, time_s
-        none = -2 * np.log(2 * np.pi * p.other_per_m2)
+            predict(t, time_s - t["time"], p)
+            t["time"] = time_s
         cost = np.full((len(tracks), len(found) + len(tracks)), 1e9)
         for i, t in enumerate(tracks):
-            cost[i, len(found) + i] = none
+            cost[i, len(found) + i] = -2 * np.log(p.other_per_m2)
             for j, (label, xy, _, _, _, after_s) in enumerate(found):
-                h = measured(after_s)
-                s = h @ t["P"] @ h.T + p.position_sigma_m[label] ** 2 * np.eye(2)
-                y = xy - h @ t["x"]
-                d2 = y @ np.linalg.inv(s) @ y
-                if any({label, t["label"]} <= g for g in GROUPS) and d2 < -2 * np.log(1 - p.gate_p):
-                    cost[i, j] = d2 + np.log(np.linalg.det(s))
+                r = p.position_sigma_m[label] ** 2 * np.eye(2)
+                values, squares = density(t, measured(after_s), xy, r)
+                mean = t["p"] @ values
+                if (
+                    any({label, t["label"]} <= g for g in GROUPS)
+                    and min(squares[t["p"] > 0]) < -2 * np.log(1 - p.gate_p)
+                    and mean
+                ):
+                    cost[i, j] = -2 * np.log(mean)
         of = {j: tracks[i] for i, j in zip(*linear_sum_assignment(cost), strict=True) if j < len(found)}
         out = []
         for j, (label, xy, yaw, score, limit_mps, after_s) in enumerate(found):
@@ -77,8 +120,11 @@ class Twin:
             if j in of:
                 t, h = of[j], measured(after_s)
                 r = p.position_sigma_m[label] ** 2 * np.eye(2)
-                gain = t["P"] @ h.T @ np.linalg.inv(h @ t["P"] @ h.T + r)
-                t["x"], t["P"] = t["x"] + gain @ (xy - h @ t["x"]), (np.eye(4) - gain @ h) @ t["P"]
+                likely = t["p"] * density(t, h, xy, r)[0]
+                t["p"] = likely / likely.sum()
+                for k, (x, cov) in enumerate(zip(t["x"], t["P"], strict=True)):
+                    gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + r)
+                    t["x"][k], t["P"][k] = x + gain @ (xy - h @ x), (np.eye(4) - gain @ h) @ cov
                 weight = 1 - np.exp(-(time_s - t["last"]) / p.existence_memory_s)
                 t["odds"] += weight * (p.existence_again + odds)
                 t["hits"], t["last"], t["label"] = t["hits"] + 1, time_s, label
@@ -86,17 +132,23 @@ class Twin:
                 x, cov = first_state(xy, yaw, label, limit_mps, own_mps, p, after_s)
                 number = self.count.get(observer, 0)
                 self.count[observer] = number + 1
-                t = {"x": x, "P": cov, "time": time_s, "first": time_s, "last": time_s, "label": label, "hits": 1,
+                t = {"x": [x, x], "P": [cov, cov], "p": np.array([1 - p.accelerating_p, p.accelerating_p]), "yaw": yaw,
+                     "time": time_s, "first": time_s, "last": time_s, "label": label, "hits": 1,
                      "odds": p.existence_new + odds, "id": number}  # fmt: skip
                 tracks.append(t)
-            v = t["x"][[1, 3]] if t["hits"] >= p.confirm_hits else np.full(2, np.nan)
-            out.append((t["id"], time_s - t["first"], v, 1 / (1 + np.exp(-t["odds"]))))
+            x, cov = mixture(t["p"], t["x"], t["P"])
+            v = x[[1, 3]] if t["hits"] >= p.confirm_hits else np.full(2, np.nan)
+            out.append(
+                (t["id"], time_s - t["first"], v, np.trace(cov[np.ix_([1, 3], [1, 3])]), 1 / (1 + np.exp(-t["odds"])))
+            )
         self.tracks[observer] = tracks
         return out
 
 
 class StoneSoup:
     """One observer's tracks by the library Stone Soup: its predictor, updater, hypothesiser and 2D assignment.
+
+    The library has no interacting models. All objects have `steady_noise`, as with `accelerating_p` = 0.
 
     The library's track initiators and deleters differ from ours by design, so tracks begin and end by our rules.
     """
@@ -122,7 +174,7 @@ class StoneSoup:
         self.updater = KalmanUpdater(None)
         self.models = [LinearGaussian(4, (0, 2), s**2 * np.eye(2)) for s in params.position_sigma_m]
         self.by_class = []
-        for q in params.acceleration_noise:
+        for q in params.steady_noise:
             moves = CombinedLinearGaussianTransitionModel([ConstantVelocity(q), ConstantVelocity(q)])
             self.by_class.append(DistanceHypothesiser(
                 KalmanPredictor(moves), self.updater, LogLikelihood(),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
 
 from sensors import tracking
 from sensors.tracking import (
@@ -15,6 +16,7 @@ from sensors.tracking import (
     TrackMemory,
     Tracks,
     expected_speed,
+    mean_motion,
     predicted,
     track,
     updated,
@@ -27,13 +29,20 @@ seeds = st.integers(0, 2**32 - 1)
 
 def one_track(**changed):
     """A car's track that moves east, at time 0, with errors along and across the axis that differ."""
+    motion = [[1.0, 3.0, 1.0, 0.5, 2.0], [2.0, 0.0, 0.91, 0.5, 1.0]]
     made = Tracks(
         observer=np.array([7]), object_id=np.array([0]), label=np.zeros(1, np.uint8), n_hits=np.array([1]),
-        time_s=np.zeros(1), first_s=np.zeros(1), last_s=np.zeros(1), xy_m=np.array([[1.0, 2.0]]),
-        velocity_mps=np.array([[3.0, 0.0]]), axis=np.array([[1.0, 0.0]]),
-        covariance=np.array([[[1.0, 0.5, 2.0], [0.91, 0.5, 1.0]]]), existence=np.zeros(1),
+        time_s=np.zeros(1), first_s=np.zeros(1), last_s=np.zeros(1), axis=np.array([[1.0, 0.0]]),
+        motion_p=np.array([[1.0, 0.0]]), motion=np.array([[motion, motion]]), existence=np.zeros(1),
     )  # fmt: skip
     return replace(made, **changed)
+
+
+def states(tracks):
+    """Place and velocity of the first track, east and north, and its covariances along and across."""
+    motion, (cos, sin) = mean_motion(tracks)[0], tracks.axis[0]
+    turn = np.array([[cos, -sin], [sin, cos]])
+    return turn @ motion[:, 0], turn @ motion[:, 1], motion[:, 2:]
 
 
 def found(observer, label, xy_m, yaw_rad, score=0.5, after_s=0.0):
@@ -53,12 +62,57 @@ def sensing(numbers, time_s, speed_mps=0.0):
 def test_prediction_by_hand():
     # t = 2, q = 0.3, along the axis: P_xx = 1 + 2 * 2 * 0.5 + 4 * 2 + 0.3 * 8 / 3 = 11.8,
     # P_xv = 0.5 + 2 * 2 + 0.3 * 4 / 2 = 5.1, P_vv = 2 + 0.3 * 2 = 2.6; x = 1 + 2 * 3 = 7
-    p = TrackingParams(acceleration_noise=(0.3, 1.0, 1.0, 1.0))
+    p = TrackingParams(steady_noise=(0.3, 1.0, 1.0, 1.0), accelerating_p=0.0)
     later = predicted(one_track(), np.array([2.0]), p)
-    assert later.xy_m[0] == pytest.approx([7.0, 2.0]) and later.time_s[0] == 2.0
-    assert later.covariance[0, 0] == pytest.approx([11.8, 5.1, 2.6])
+    place, _, covariance = states(later)
+    assert place == pytest.approx([7.0, 2.0]) and later.time_s[0] == 2.0
+    assert covariance[0] == pytest.approx([11.8, 5.1, 2.6])
     # across it: 0.91 + 2 + 4 + 0.8 = 7.71, 0.5 + 2 + 0.6 = 3.1, 1 + 0.6 = 1.6
-    assert later.covariance[0, 1] == pytest.approx([7.71, 3.1, 1.6])
+    assert covariance[1] == pytest.approx([7.71, 3.1, 1.6])
+
+
+def test_two_motions_by_hand():
+    """A track along x, both motions equally likely, at 1 and 3 m/s, with variances 1 of place and velocity.
+
+    After 1 s half of the objects have had a chance to change, and a quarter of these accelerate: 0.5 x 0.5 + 0.5 x 0.75
+    = 0.625 are steady. Of these, 0.5 x 0.875 / 0.625 = 0.7 were: v = 0.7 x 1 + 0.3 x 3 = 1.6, P_vv = 1 + 0.7 x 0.36 +
+    0.3 x 1.96 = 1.84, P_xx = 1 + 1.84. Of the others, 5 / 6 accelerated before: v = 16 / 6, P_vv = 1 + 4 x 5 / 36, and
+    with q = 3, P_xx = 1 + P_vv + 1. Across, both stay at 0.
+    """
+    p = TrackingParams(
+        steady_noise=(1e-12, 1, 1, 1), acceleration_noise=(3, 1, 1, 1), accelerating_p=0.25,
+        motion_memory_s=1 / np.log(2), position_sigma_m=(1, 1, 1, 1),
+    )  # fmt: skip
+    motion = np.array([[[0, v, 1, 0, 1], [0, 0, 1, 0, 1]] for v in (1.0, 3.0)])[None]
+    later = predicted(one_track(motion_p=np.array([[0.5, 0.5]]), motion=motion), np.ones(1), p)
+    vv = 1 + 5 / 9
+    assert later.motion_p[0] == pytest.approx([0.625, 0.375])
+    assert later.motion[0, 0] == pytest.approx(np.array([[1.6, 1.6, 2.84, 1.84, 1.84], [0, 0, 2, 1, 1]]))
+    expected = [[16 / 6, 16 / 6, 2 + vv, vv + 1.5, vv + 3], [0, 0, 3, 2.5, 4]]
+    assert later.motion[0, 1] == pytest.approx(np.array(expected))
+    # A detection at x = 3 and y = 1, with variance 1 along each axis: Bayes' rule.
+    after = updated(later, found([7], 0, [[3.0, 1.0]], 0.0), p)
+    steady = 0.625 * multivariate_normal([1.6, 0], np.diag([3.84, 3])).pdf([3, 1])
+    other = 0.375 * multivariate_normal([16 / 6, 0], np.diag([3 + vv, 4])).pdf([3, 1])
+    assert after.motion_p[0] == pytest.approx([steady / (steady + other), other / (steady + other)])
+    assert after.motion[0, 0, 0, 0] == pytest.approx(1.6 + 2.84 / 3.84 * 1.4)
+    # Mean and variance of both together: those of a mixture.
+    w = after.motion_p[0]
+    v, each = after.motion[0, :, 0, 1], after.motion[0, :, 0, 4]
+    assert states(after)[1][0] == pytest.approx(w @ v)
+    assert states(after)[2][0, 2] == pytest.approx(w @ (each + v**2) - (w @ v) ** 2)
+
+
+def test_a_car_that_brakes_is_less_certain_than_one_that_drives_on():
+    """At 10 m/s for 6 s; then one of them brakes by 4 m/s². A filter with one acceleration would state the same."""
+    p, memory = P, TrackMemory()
+    for second in range(8):
+        braked_m = 2.0 * max(second - 6, 0) ** 2
+        seen = found([1, 1], 0, [[10.0 * second, 0.0], [10.0 * second - braked_m, 50.0]], 0.0, 0.9)
+        memory, state = track(memory, sensing([1], second), seen, p)
+    assert state.object_id.tolist() == [0, 1]
+    assert np.sqrt(state.variance[0, 0]) < 0.2 < 3 * 0.2 < np.sqrt(state.variance[1, 0])
+    assert state.velocity_mps[0] == pytest.approx([10, 0], abs=0.1) and 5 < state.velocity_mps[1, 0] < 9
 
 
 def test_update_by_hand():
@@ -67,11 +121,12 @@ def test_update_by_hand():
     # x = 1 - 0.91 * 2 = -0.82, vx = 3 - 0.5 * 2 = 2; P = 0.91 * 0.09, 0.5 * 0.09, 1 - 0.25.
     # Along: P_xx = 1, s = 1.09, gains 1 / 1.09 and 0.5 / 1.09. It is 1.09 m north: y = 2 + 1, vy = 0 + 0.5.
     p = TrackingParams(position_sigma_m=(0.3, 1.0, 1.0, 1.0), existence_memory_s=0.0)
-    before = one_track(axis=np.array([[0.0, 1.0]]))
-    after = updated(before, found([7], 0, [[-1.0, 3.09]], 0.0), p)
-    assert after.xy_m[0] == pytest.approx([-0.82, 3.0]) and after.velocity_mps[0] == pytest.approx([2.0, 0.5])
-    assert after.covariance[0, 1] == pytest.approx([0.0819, 0.045, 0.75])
-    assert after.covariance[0, 0] == pytest.approx([0.09 / 1.09, 0.045 / 1.09, 2 - 0.25 / 1.09])
+    north = np.array([[[2.0, 0.0, 1.0, 0.5, 2.0], [-1.0, -3.0, 0.91, 0.5, 1.0]]] * 2)[None]
+    after = updated(one_track(axis=np.array([[0.0, 1.0]]), motion=north), found([7], 0, [[-1.0, 3.09]], 0.0), p)
+    place, velocity, covariance = states(after)
+    assert place == pytest.approx([-0.82, 3.0]) and velocity == pytest.approx([2.0, 0.5])
+    assert covariance[1] == pytest.approx([0.0819, 0.045, 0.75])
+    assert covariance[0] == pytest.approx([0.09 / 1.09, 0.045 / 1.09, 2 - 0.25 / 1.09])
     assert after.n_hits[0] == 2 and after.existence[0] == pytest.approx(p.existence_again)  # a score of 0.5 adds 0
 
 
@@ -81,13 +136,14 @@ def test_a_detection_of_another_moment_by_hand():
     # 1 + 0.5 * 3 = 2.5 there and finds 4.59, so y = 2.09: x = 1 + 1.25, v = 3 + 1.5.
     p = TrackingParams(position_sigma_m=(0.3, 1.0, 1.0, 1.0))
     after = updated(one_track(), found([7], 0, [[4.59, 2.0]], 0.0, after_s=0.5), p)
-    assert after.xy_m[0] == pytest.approx([2.25, 2.0]) and after.velocity_mps[0] == pytest.approx([4.5, 0.0])
+    place, velocity, covariance = states(after)
+    assert place == pytest.approx([2.25, 2.0]) and velocity == pytest.approx([4.5, 0.0])
     expected = [1 - 1.25**2 / 2.09, 0.5 - 1.25 * 1.5 / 2.09, 2 - 1.5**2 / 2.09]
-    assert after.covariance[0, 0] == pytest.approx(expected)
+    assert covariance[0] == pytest.approx(expected)
     # A new track expects 6 m/s with a deviation of 4.5 m/s. So it was 3 m back: P_xx = 0.09 + 0.25 * 20.25.
     memory, _ = track(TrackMemory(), sensing([1], 0), found([1], 0, [[4.0, 0.0]], 0.0, after_s=0.5), p)
-    assert memory.tracks.xy_m[0] == pytest.approx([1.0, 0.0])
-    assert memory.tracks.covariance[0, 0] == pytest.approx([5.1525, -10.125, 20.25])
+    place, _, covariance = states(memory.tracks)
+    assert place == pytest.approx([1.0, 0.0]) and covariance[0] == pytest.approx([5.1525, -10.125, 20.25])
 
 
 def test_a_car_that_passes_behind_a_turning_sensor():
@@ -99,7 +155,7 @@ def test_a_car_that_passes_behind_a_turning_sensor():
         seen = found([1], 0, [[30.0 * (second + after_s), 0.0]], 0.0, 0.9, after_s)
         memory, state = track(memory, sensing([1], second, 30.0), seen, p)
     assert state.object_id.tolist() == [0] and state.velocity_mps[0] == pytest.approx([30.0, 0.0], abs=0.05)
-    assert memory.tracks.xy_m[0] == pytest.approx([210.0, 0.0], abs=0.01)
+    assert states(memory.tracks)[0] == pytest.approx([210.0, 0.0], abs=0.01)
 
 
 def test_existence_by_hand():
@@ -173,27 +229,30 @@ def test_like_the_slow_twin(seed):
         for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
             rows = np.flatnonzero(seen.observer == o)
             said = twin.sense(o, t, v, as_rows(seen, rows))
-            for k, (number, age_s, velocity, existence) in zip(rows, said, strict=True):
+            for k, (number, age_s, velocity, variance, existence) in zip(rows, said, strict=True):
                 assert state.object_id[k] == number and state.age_s[k] == pytest.approx(age_s)
                 assert state.velocity_mps[k] == pytest.approx(velocity, abs=1e-9, nan_ok=True)
+                assert state.variance[k].sum() == pytest.approx(variance)
                 assert state.existence_p[k] == pytest.approx(existence, abs=1e-12)
 
 
 def test_like_stone_soup():
-    """Three observers in a crowd: the same numbers, and states within 1e-9."""
+    """Three observers in a crowd, all objects with one noise: the same numbers, and states within 1e-9."""
     moments = scene(3, n_observers=3, n_objects=9, n_moments=7, most_s=0.0)
+    p = replace(P, steady_noise=(1.5, 0.2, 0.7, 1.5), accelerating_p=0.0)
     library, memory, n_moved = {}, TrackMemory(), 0
     for observers, seen in moments:
-        memory, state = track(memory, observers, seen, P)
+        memory, state = track(memory, observers, seen, p)
         own = memory.tracks
         for o, t, v in zip(observers.number, observers.time_s, observers.speed_mps, strict=True):
             rows = np.flatnonzero(seen.observer == o)
-            said = library.setdefault(o, StoneSoup(P)).sense(t, v, [row[:5] for row in as_rows(seen, rows)])
+            said = library.setdefault(o, StoneSoup(p)).sense(t, v, [row[:5] for row in as_rows(seen, rows)])
             for k, (number, xy, velocity, _) in zip(rows, said, strict=True):
                 row = np.flatnonzero((own.observer == o) & (own.object_id == number))
                 assert state.object_id[k] == number
-                assert own.xy_m[row[0]] == pytest.approx(xy, abs=1e-9)
-                assert own.velocity_mps[row[0]] == pytest.approx(velocity, abs=1e-9)
+                place_m, velocity_mps, _ = states(own.take(row))
+                assert place_m == pytest.approx(xy, abs=1e-9)
+                assert velocity_mps == pytest.approx(velocity, abs=1e-9)
                 n_moved += not np.isnan(state.velocity_mps[k]).any()
     assert n_moved > 30
 

@@ -16,12 +16,23 @@ SETTINGS = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=200", "tr
 
 @pytest.fixture(scope="module")
 def drive():
+    """As `driven`, in the default world: messages say what the standard's confidence values can say."""
+    return driven()
+
+
+@pytest.fixture(scope="module")
+def exactly():
+    """As `driven`, with messages that say any number."""
+    return driven("cpm.accuracy=exact")
+
+
+def driven(*sets):
     """Per detection of an actor: class (-1 for self reports), range, squared normalised errors of position (over 2),
     heading (modulo pi) and length; how far it drove until the sensor looked there, if its velocity is stated, and the
     error along its heading. Per fused object of an actor: class, range, number of sources, squared normalised
     error over 2."""
     found, fused = [], []
-    with Simulation(load(None, SETTINGS)) as simulation:
+    with Simulation(load(None, (*SETTINGS, *sets))) as simulation:
         for result in simulation:
             sensed = result.result.sensed
             if sensed is not None:
@@ -122,9 +133,10 @@ def test_cars_are_reported_where_they_were_at_the_time_of_the_sweep(drive):
 
 @pytest.mark.parametrize("label", [0, 1], ids=["car", "pedestrian"])
 @pytest.mark.parametrize("what", [3, 4], ids=["heading", "length"])
-def test_headings_and_sizes_have_the_stated_variance(drive, label, what):
-    """The median of a squared standard normal number is 0.455. Half and twice the variance are noticed."""
-    square = drive[0][what][drive[0][0] == label]
+def test_headings_and_sizes_have_the_stated_variance(exactly, label, what):
+    """The median of a squared standard normal number is 0.455. Half and twice the variance are noticed. The standard's
+    values are rounded up, which is much for sizes."""
+    square = exactly[0][what][exactly[0][0] == label]
     for factor, is_true in ((1.0, True), (0.5, False), (2.0, False)):
         assert (0.8 < np.median(square) / factor / 0.455 < 1.25) == is_true
 
@@ -172,22 +184,22 @@ def test_speeds_of_untracked_objects_have_the_stated_variance(beside_a_motorway,
     """Slow observers beside a motorway expect fast cars, as fast observers do."""
     own_mps, square, variance = beside_a_motorway
     rows = (own_mps > low_mps) & (own_mps <= high_mps)
-    assert rows.sum() > 200
+    assert rows.sum() > 150
     for factor, is_true in ((1.0, True), (0.5, False), (2.0, False)):
         assert (0.8 < square[rows].mean() / (factor * variance[rows].mean()) < 1.25) == is_true
 
 
 def test_age_adds_the_variance_of_the_motion():
     """A car whose velocity east is known to 0.5 m/s, and north to 1 m/s, after 0.4 s: 0.25 x 0.16 = 0.04 and 0.16, and
-    1.5 x 0.064 / 3 = 0.032 by the random acceleration of cars (1.5 m2/s3)."""
+    3 x 0.064 / 3 = 0.064 by the random acceleration of cars that accelerate (here 3 m2/s3)."""
     boxes = boxes_at((0.0, 0.0, 0.0))
     one = Detections(
         observer=np.zeros(1, int), detection_index=np.ones(1, int), label=np.zeros(1, np.uint8), boxes=boxes,
         score=np.ones(1), n_points=np.ones(1, int), origin=np.zeros(1, np.uint8), transmitted=np.ones(1, bool),
         variance_m2=np.array([[0.1, 0.02, 0.2]]), velocity_variance=np.array([[0.25, 0.0, 1.0]]),
     )  # fmt: skip
-    found = aged(one, np.array([0.4]), TrackingParams())
-    np.testing.assert_allclose(found.variance_m2, [[0.172, 0.02, 0.392]])
+    found = aged(one, np.array([0.4]), TrackingParams(acceleration_noise=(3.0, 1.0, 1.0, 1.0)))
+    np.testing.assert_allclose(found.variance_m2, [[0.204, 0.02, 0.424]])
 
 
 def test_the_table_is_what_lists_state():
