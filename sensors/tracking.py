@@ -424,8 +424,9 @@ def _mixed(steady_p, motion, axis, out):
 def _mix(begin, end, motion_p, motion, out):
     """Write the mixture of each track."""
     for i in range(begin, end):
+        steady_p = motion_p[i, 0]
         for axis in range(2):
-            _mixed(motion_p[i, 0], motion[i], axis, out[i, axis])
+            _mixed(steady_p, motion[i], axis, out[i, axis])
 
 
 @compiled
@@ -449,11 +450,13 @@ def _predict(begin, end, elapsed_s, kept, usual, noise, motion_p, motion):
             q = noise[i, j]
             for axis in range(2):
                 x, v, xx, xv, vv = mixed[j, axis]
-                motion[i, j, axis, _PLACE] = x + v * t
-                motion[i, j, axis, _VELOCITY] = v
-                motion[i, j, axis, _XX] = xx + t * (2.0 * xv + t * (vv + q * t / 3.0))
-                motion[i, j, axis, _XV] = xv + t * (vv + q * t / 2.0)
-                motion[i, j, axis, _VV] = vv + q * t
+                later = motion[i, j, axis]
+                later[_PLACE] = x + v * t
+                later[_VELOCITY] = v
+                moved = 2.0 * xv + t * (vv + q * t / 3.0)
+                later[_XX] = xx + t * moved
+                later[_XV] = xv + t * (vv + q * t / 2.0)
+                later[_VV] = vv + q * t
 
 
 @compiled
@@ -465,16 +468,17 @@ def _update(begin, end, place, after_s, variance, motion_p, motion):
         for j in range(2):
             log_p[j] = 0.0
             for axis in range(2):
-                x, v, xx, xv, vv = motion[i, j, axis]
+                state = motion[i, j, axis]
+                x, v, xx, xv, vv = state
                 a, b = xx + t * xv, xv + t * vv
                 s = a + t * b + variance[i]
                 y = place[i, axis] - x - t * v
                 log_p[j] -= 0.5 * (y * y / s + np.log(s))
-                motion[i, j, axis, _PLACE] = x + a / s * y
-                motion[i, j, axis, _VELOCITY] = v + b / s * y
-                motion[i, j, axis, _XX] = xx - a / s * a
-                motion[i, j, axis, _XV] = xv - b / s * a
-                motion[i, j, axis, _VV] = vv - b / s * b
+                state[_PLACE] = x + a / s * y
+                state[_VELOCITY] = v + b / s * y
+                state[_XX] = xx - a / s * a
+                state[_XV] = xv - b / s * a
+                state[_VV] = vv - b / s * b
         most = max(log_p[0], log_p[1])
         steady = motion_p[i, 0] * np.exp(log_p[0] - most)
         accelerating = motion_p[i, 1] * np.exp(log_p[1] - most)
@@ -685,11 +689,13 @@ def _reach_m(tracks: Tracks, xy_m: Float[ndarray, "n 2"], found: Found, params: 
     """
     gate = -2 * np.log1p(-params.gate_p)
     after_s = np.abs(found.after_s).max(initial=0.0)
-    at, velocity, xx, xv, vv = np.moveaxis(tracks.motion, 3, 0)
-    most_m2 = xx + after_s * (2.0 * np.abs(xv) + after_s * vv) + max(params.position_sigma_m) ** 2
-    place = _along_and_across(xy_m, tracks.axis)
-    along, across = np.moveaxis(np.abs(at - place[:, None]) + after_s * np.abs(velocity), 2, 0)
-    reach_m = np.sqrt(gate * most_m2.max(axis=2)) + np.hypot(along, across)
+    place, velocity, xx, xv, vv = np.moveaxis(tracks.motion, 3, 0)
+    moved_m2 = after_s * (2.0 * np.abs(xv) + after_s * vv)
+    most_m2 = (xx + moved_m2).max(axis=2) + max(params.position_sigma_m) ** 2
+    expected = _along_and_across(xy_m, tracks.axis)
+    apart_m = np.abs(place - expected[:, None])
+    along_m, across_m = np.moveaxis(apart_m + after_s * np.abs(velocity), 2, 0)
+    reach_m = np.sqrt(gate * most_m2) + np.hypot(along_m, across_m)
     return reach_m.max(axis=1) * (1 + 1e-9)
 
 
@@ -707,12 +713,14 @@ def _compare(begin, end, track, where, after_s, noise, motion_p, motion, squared
             volume = 1.0
             for axis in range(2):
                 x, v, xx, xv, vv = motion[i, j, axis]
-                s = xx + t * (2.0 * xv + t * vv) + noise[k]
+                moved = 2.0 * xv + t * vv
+                s = xx + t * moved + noise[k]
                 y = where[k, axis] - x - t * v
                 distance += y * y / s
                 volume *= s
             squared[k] = min(squared[k], distance)
-            density += motion_p[i, j] * np.exp(-0.5 * distance) / np.sqrt(volume)
+            of_motion = np.exp(-0.5 * distance) / np.sqrt(volume)
+            density += motion_p[i, j] * of_motion
         log_density[k] = np.log(density) if density > 0.0 else -np.inf
 
 

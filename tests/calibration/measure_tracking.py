@@ -4,7 +4,9 @@
 
 reads runs that exist, in which vehicles sense in every step. A lower rate is every n-th sweep. It prints tables in
 Markdown: velocity errors by rate and class, the comparison with the library, and how often objects exist whose
-probability of existence is said to be so.
+probability of existence is said to be so. Squared errors of velocities along and across the heading are also given in
+units of the stated variance: their median, and their mean without the largest 3 % of a class, over those of a normal
+distribution.
 """
 
 import argparse
@@ -17,6 +19,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from scipy.stats import chi2
 
 from cosim.world import LABELS
 from results.archive import open_run
@@ -29,6 +32,9 @@ ONE_MOTION = replace(
     PARAMS, accelerating_p=0.0, steady_noise=(1.5, 0.2, 0.7, 1.5), position_sigma_m=(0.15, 0.06, 0.1, 0.3)
 )
 """For the library, which has no interacting models."""
+KEPT = 0.97
+CORE_MEAN = chi2.expect(lambda x: x, (1,), ub=chi2.ppf(KEPT, 1), conditional=True)
+"""Mean of this share of the smallest squares of a standard normal number."""
 BINS = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0])
 COLUMNS = ["step", "observer", "detection_index", "class", "x_m", "y_m", "yaw_rad", "score", "origin", "truth_actor"]
 
@@ -80,6 +86,8 @@ def tracked(data: Recorded, every: int, params: TrackingParams = PARAMS, until_s
     rows["object_id"] = np.concatenate([s.object_id for s in states])
     rows["existence_p"] = np.concatenate([s.existence_p for s in states])
     rows[["vx", "vy"]] = np.concatenate([s.velocity_mps for s in states])
+    rows[["cos", "sin"]] = np.concatenate([s.axis for s in states])
+    rows[["along_m2", "across_m2"]] = np.concatenate([s.variance for s in states])
     rows[["track_x_m", "track_y_m"]] = np.concatenate(xy_m)
     rows["n_hits"] = np.concatenate(n_hits)
     rows.attrs["us"] = 1e6 * took_s / max(n_sweeps, 1)
@@ -127,6 +135,21 @@ def with_errors(rows: pd.DataFrame) -> pd.DataFrame:
         detection_error=np.hypot(rows.x_m - rows.true_x_m, rows.y_m - rows.true_y_m),
         is_real=rows.truth_actor.notna(),
     )
+
+
+def consistency(rows: pd.DataFrame) -> dict[str, float]:
+    """Squared errors of velocities in units of the stated variance, over those of a normal distribution."""
+    east, north = rows.vx - rows.true_vx, rows.vy - rows.true_vy
+    found = {}
+    for name, error, variance in (
+        ("along", rows.cos * east + rows.sin * north, rows.along_m2),
+        ("across", rows.cos * north - rows.sin * east, rows.across_m2),
+    ):
+        square = np.sort(error**2 / variance)
+        core = square[: int(KEPT * len(square))]
+        found[f"{name}, median"] = np.median(square) / chi2.median(1)
+        found[f"{name}, mean"] = core.mean() / CORE_MEAN
+    return found
 
 
 def switches(rows: pd.DataFrame, keep_steps: float) -> tuple[int, int]:
@@ -232,7 +255,7 @@ def main() -> None:
             classes.append({
                 "rate [Hz]": rate, "class": name, "velocity, median": one.velocity_error.median(),
                 "velocity, 90 %": one.velocity_error.quantile(0.9), "velocity, RMS": rms(one.velocity_error),
-                "n": len(one),
+                **consistency(one), "n": len(one),
             })  # fmt: skip
     table("Errors [m/s, m]", figures)
     table("By class", classes)
