@@ -11,6 +11,7 @@ import pandas as pd
 from cosim.addons.durations.fit import fit, fits
 from cosim.addons.durations.goodness import product_limit
 from cosim.addons.durations.samples import Durations, What, definitions, of_run
+from results.metrics.survival import median
 from results.run import Run
 
 
@@ -42,9 +43,9 @@ def tail_shape(run: Run, *, what: What, has_los: bool = False, vehicle_class: st
 
 
 def median_duration(run: Run) -> list[float]:
-    """Median duration of contacts (Kaplan-Meier) [s]."""
-    curve = product_limit(_sample(run, "duration", ""))
-    return [float(curve.duration_s[curve.survival <= 0.5].min())]
+    """Median duration of contacts (Kaplan-Meier) [s]; NaN if more than half last longer than what was observed."""
+    sample = _sample(run, "duration", "")
+    return [median(product_limit(sample)) - sample.step_s / 2]  # ends are at the upper edges of steps
 
 
 def _sample(run: Run, what: What, vehicle_class: str, has_los: bool = False) -> Durations:
