@@ -1,6 +1,5 @@
 """Metrics that users write: their interface, and the table of their values."""
 
-import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -42,10 +41,14 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 """Of a table of metrics."""
 
 
+LARGEST = 1e100
+"""Squares of far larger values, of which intervals are made, are no finite numbers."""
+
+
 def is_value(value: Any) -> bool:
-    """Whether a value can be shown and averaged: a finite number, or NaN if there is none."""
+    """Whether a value can be shown and averaged: a number of at most `LARGEST` in size, or NaN if there is none."""
     is_number = isinstance(value, int | float | np.integer | np.floating)
-    return is_number and not isinstance(value, bool) and not abs(value) > sys.float_info.max
+    return is_number and not isinstance(value, bool) and not abs(value) > LARGEST
 
 
 def check_own(table: Any, place: str) -> pd.DataFrame:
@@ -67,7 +70,8 @@ def check_own(table: Any, place: str) -> pd.DataFrame:
         raise ValueError(f"{place}: a value of {', '.join(texts.columns)} is no text. Return texts there.")
     for value in table.value.tolist():
         if not is_value(value):
-            raise ValueError(f"{place}: value = {repr(value)[:40]} is no finite number. Return NaN if there is none.")
+            said = f"{place}: value = {repr(value)[:40]} is no number of at most {LARGEST:g} in size."
+            raise ValueError(f"{said} Return NaN if there is none.")
     if included := [name for name in table.metric if name in METRICS]:
         raise ValueError(f"{place}: {included[0]} is a metric that cosim has. Give yours another name.")
     n = table.groupby(["metric", "group"], sort=False).size()

@@ -451,7 +451,7 @@ def _is_tuple_of(value: Any, of: type) -> bool:
 def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
     """The rows of a metric."""
     from results.metrics.registry import METRICS
-    from results.own_metrics import MetricRow, is_value
+    from results.own_metrics import LARGEST, MetricRow, is_value
 
     if not isinstance(returned, list | tuple):
         raise Wrong(f"returned {described(returned)}", "a list of MetricRow")
@@ -460,7 +460,8 @@ def metric_rows(call: Call, returned: Any) -> "list[MetricRow]":
             raise Wrong(f"returned row {number} as {described(row)}", "a MetricRow(metric=..., value=...)")
         if not is_value(row.value):
             raise Wrong(
-                f"returned value = {repr(row.value)[:40]} in row {number}", "a finite number (NaN if there is none)"
+                f"returned value = {repr(row.value)[:40]} in row {number}",
+                f"a number of at most {LARGEST:g} in size (NaN if there is none)",
             )
         texts = row.metric, row.group, row.unit, row.label
         if not _is_tuple_of(texts, str) or not row.metric:
