@@ -36,7 +36,7 @@ class Head:
     """The question of the study, for its report."""
     config: str = ""
     """Config that all points start from; empty for the default city. `[base]` changes it."""
-    replicates: Annotated[int, Ge(1)] = 1
+    replicates: Annotated[int, Ge(1), Le(1000)] = 1
     """Runs per combination. Replicate r adds r to `seed` and to `traffic.seed`."""
     baseline: dict[str, Any] = field(default_factory=dict)
     """Swept keys and values of the combinations with which the others are compared."""
@@ -167,6 +167,8 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
                 f"{name}: unknown section in {where}. A study has {', '.join(f'[{s}]' for s in SECTIONS)}."
             )
     head = _section(Head, {"name": path.stem} | data.get("study", {}), "study", where)
+    if not head.name.strip():
+        raise ValueError(f"study.name in {where} is empty. Leave it out: the study then has the name of its file.")
     keep = _section(Keep, data.get("keep", {}), "keep", where)
     for known, given, what in ((TOPICS, keep.topics, "topics"), (TABLES, keep.tables or (), "tables")):
         if unknown := [name for name in given if name not in known]:

@@ -175,6 +175,8 @@ def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
         (HEAD + "[grid]\ntrust.freshnes_s = [5, 6]\n", "unknown key"),
         (HEAD + "[grid]\ntrust.freshness_s = [5, -6]\n", "greater than 0"),
         (HEAD + "[grid]\nseed = [5, 6]\n", "study.replicates"),
+        (HEAD.replace("replicates = 2", "replicates = 100_000"), "less than or equal to 1000"),
+        (HEAD.replace('name = "try"', 'name = " "'), "name of its file"),
         (HEAD + "[grid]\ncompute.threads = [1, 2]\n", "two points resolve to the same experiment"),
         (HEAD + "[[zip]]\nradio.range_m = [1, 2]\ntrust.freshness_s = [5]\n", "as many"),
         (HEAD + "[grid]\nradio.range_m = [100, 200]\n[[zip]]\nradio.range_m = [1, 2]\n", "swept twice"),
