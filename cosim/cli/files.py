@@ -33,6 +33,9 @@ def refuse_other_than_config(path: Path | None) -> None:
 
 def refuse_other_than_study(path: Path) -> None:
     """Raise ValueError, which names the right command, if a file is known to be no study."""
+    if (path / "study.toml").is_file():
+        words = shlex.join([f"{path}/study.toml", "--out", str(path)])
+        raise ValueError(f"{path} is the folder of a study, not its file. Continue it with: cosim sweep {words}")
     refuse_traffic(path)
     if path.suffix == ".toml" and path.is_file() and not _OF_A_STUDY & read_toml(path, "study file").keys():
         given = shlex.quote(str(path))
@@ -43,15 +46,20 @@ def refuse_other_than_study(path: Path) -> None:
 
 
 def refuse_traffic(path: Path) -> None:
-    """Raise ValueError, which names the right key, if a path is known to be a map, a city or a trace."""
+    """Raise ValueError, which names the right key, if a path is known to be a map, a run, a city or a trace."""
     from cosim.traffic.scenario import find
 
     refuse_map(path, "")
+    given = shlex.quote(str(path))
+    if (path / "manifest.json").is_file():
+        raise ValueError(
+            f"{path} is the folder of a run, not a TOML file. Its config is {given}/config.toml. Its traffic is "
+            f"replayed with --set traffic.scenario={given}."
+        )
     if path.suffix == ".toml":
         return
     try:
         find(str(path))
     except ValueError:  # it is none
         return
-    given = shlex.quote(str(path))
     raise ValueError(f"{path} is traffic, not a TOML file. Give it with --set traffic.scenario={given}.")

@@ -49,10 +49,15 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
         (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration_p=1", "--dry-run"], "the study sweeps"),
         (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration=1", "--dry-run"], "unknown key"),
         (["check", "ages.toml", "--preset", "moder"], "there is no such preset"),
+        (["sweep", "a run"], "Its config is 'a run'/config.toml."),
+        (["sweep", "swept"], "cosim sweep swept/study.toml --out swept"),
     ],
 )
 def test_the_wrong_command_names_the_right_one(begun, words, says):
     (begun / "my.osm.pbf").write_bytes(b"")
+    for name in ("a run/manifest.json", "swept/study.toml"):
+        (begun / name).parent.mkdir(exist_ok=True)
+        (begun / name).write_text("")
     done = cosim(*words, cwd=begun)
     assert_refused(done, says)
 
