@@ -16,6 +16,9 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
+_FEWEST_DRAWN = 5
+"""No sum of drawn units is beyond that of the smallest, or of the largest, alone. Both lie on one side of the truth for
+25 % of samples of three units, 13 % of four, and 6 % of five."""
 
 Bounds = tuple[float, float]
 """Smallest and largest value that a quantity can have."""
@@ -27,7 +30,7 @@ class ClusteredEstimate(NamedTuple):
 
     value: float
     low: float
-    """NaN, as `high`, where there are fewer than three units."""
+    """NaN, as `high`, where there are too few units, or no spread to judge by."""
     high: float
     n_units: int
     """Units with something to count."""
@@ -54,7 +57,8 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
 
     Returns
     -------
-    The ratio, NaN if no unit counts. The interval is NaN if fewer than three units count.
+    The ratio, NaN if no unit counts. The interval is NaN if fewer than five units count, or if their ratios are all the
+    same, as those of events that never occurred.
 
     Notes
     -----
@@ -75,8 +79,8 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     if not n:
         return UNKNOWN
     value = float(top.sum() / bottom.sum())
-    if n < _FEWEST:
-        return ClusteredEstimate(value, float("nan"), float("nan"), n)
+    if n < _FEWEST_DRAWN or np.ptp(top / bottom) == 0:
+        return without_interval(value)._replace(n_units=n)
     drawn = _draws(n)
     ratios = (drawn @ top) / (drawn @ bottom)
     quantile = special.stdtrit(n - 1, (1 + level) / 2)
@@ -250,8 +254,9 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
 
     Notes
     -----
-    If every unit has one value, ranks are binomial [1]_. If not, the share of values up to the median has an interval
-    (`ratio`) which is as far from one half as it is from this share; its ends say the two quantiles [2]_.
+    If every unit has one value, ranks are binomial [1]_. If not, the interval holds each value x for which one half is
+    in the interval (`share`) of the share of values up to x, which is taken to be as wide as it is at the median [2]_.
+    Many values may equal the median. So the lower end follows from the share below it, the upper from that up to it.
 
     References
     ----------
@@ -265,10 +270,12 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
     if n == len(values):
         found = stats.quantile_test(values, p=0.5).confidence_interval(level)
         return ClusteredEstimate(value, float(found.low), float(found.high), n)
-    up_to = ratio(np.bincount(at, values <= value), np.bincount(at), level)
-    if n < _FEWEST:
-        return up_to._replace(value=value)
-    ends = 0.5 + np.array([up_to.low, up_to.high]) - up_to.value
+    n_of_unit = np.bincount(at)
+    below = share(np.bincount(at, values < value), n_of_unit, level)
+    up_to = share(np.bincount(at, values <= value), n_of_unit, level)
+    ends = 0.5 + np.array([below.value - below.high, up_to.value - up_to.low])
+    if n < _FEWEST_DRAWN or np.isnan(ends).any():
+        return without_interval(value)._replace(n_units=n)
     low, high = np.quantile(values, np.clip(ends, 0.0, 1.0))
     return ClusteredEstimate(value, float(low), float(high), n)
 

@@ -25,7 +25,10 @@ def test_share_of_units_that_count_once_is_wilsons():
 
 def test_units_without_a_count_and_too_few():
     assert intervals.ratio(np.array([1.0, 5.0]), np.array([2.0, 0.0]))[::3] == (0.5, 1)
-    assert np.isnan(intervals.ratio(np.ones(2), np.ones(2)).low)
+    few = np.array([0.5, 0.6, 0.8, 0.9])  # all four lie on one side of the truth for one sample of eight
+    assert np.isnan(intervals.ratio(few, np.ones(4)).low) and intervals.ratio(np.append(few, 0.7), np.ones(5)).low > 0
+    never = intervals.ratio(np.zeros(9), np.arange(1.0, 10.0))  # that nothing occurred is no proof that nothing can
+    assert never.value == 0 and np.isnan(never.high) and never.n_units == 9
     assert np.isnan(intervals.ratio(np.zeros(0), np.zeros(0)).value)
 
 
@@ -98,6 +101,19 @@ def test_median_of_units_with_several_values_covers():
     assert found.n_units == 40 and 0.92 <= hits / 200 <= 0.98 and hits_of_independent / 200 < 0.75
     few = intervals.median(np.array([1.0, 2.0, 4.0]), np.array([0, 0, 1]))
     assert few.value == 2 and np.isnan(few.low) and few.n_units == 2
+
+
+def test_median_of_units_with_values_that_are_often_the_same_covers():
+    """45 % of the units have the largest value, 0.5; the others are uniform from 0.1 to 0.4: half are below 0.373.
+
+    The share of values up to a median of 0.5 is always 1, which gave intervals without width: 76 % held the truth.
+    """
+    random, hits, unit = np.random.default_rng(1), 0, np.repeat(np.arange(40), 2)
+    for _ in range(200):
+        values = np.where(random.random(40) < 0.45, 0.5, random.uniform(0.1, 0.4, 40))[unit]
+        found = intervals.median(values, unit)
+        hits += found.low <= 0.1 + 0.3 * 0.5 / 0.55 <= found.high
+    assert 0.92 <= hits / 200 <= 0.98
 
 
 def test_median_of_durations_has_the_band_of_the_curve():

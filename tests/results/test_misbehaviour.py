@@ -62,7 +62,7 @@ def test_classification_by_hand(town):
 def test_pseudonyms_of_a_vehicle_are_one_unit(tiny):
     """Twelve vehicles that change their pseudonyms after ten steps say no more than twelve that keep them."""
     random = np.random.default_rng(2)
-    vehicles = attacking(["honest"] * 8 + ["malicious"] * 4, dict.fromkeys(range(8, 12), 1))
+    vehicles = attacking(["honest"] * 7 + ["malicious"] * 5, dict.fromkeys(range(7, 12), 1))
     level = random.uniform(0.1, 0.8, 12)
     rows = [(s, v, level[v] + 0.2 * random.random()) for s in range(20) for v in range(12)]
     found = []

@@ -159,7 +159,7 @@ def margin_of(cases: dict[str, list[np.ndarray]]) -> float:
     n = {case: np.array([len(of) for of in worlds], float) for case, worlds in cases.items()}
     for low in tried[::-1]:
         below = {case: np.array([(of < low).sum() for of in worlds], float) for case, worlds in cases.items()}
-        if all(ratio(below[case], n[case]).high <= 0.05 for case in cases):
+        if not any(ratio(below[case], n[case]).high > 0.05 for case in cases):
             return float(low)
     return float(tried[0])
 

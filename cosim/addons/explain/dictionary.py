@@ -67,7 +67,7 @@ def markdown() -> str:
         "vehicles, not messages. The methods are:",
         "",
         "- shares and means: percentile intervals of the cluster bootstrap with 1,000 draws (Field and Welsh 2007),",
-        "  expanded for few units (Hesterberg 2015);",
+        "  expanded for few units (Hesterberg 2015); none for fewer than five units, or if the units are all alike;",
         "- shares of 0 or 1: intervals of Wilson (1927);",
         "- AUCs: intervals of Obuchowski (1997) on the logit scale, with Student's t;",
         "- medians over subjects: intervals between two order statistics (Conover 1999; Woodruff 1952 where pseudonyms",

@@ -46,8 +46,8 @@ def test_intervals_are_over_worlds():
     of, answers = by_hand()
     one = counts(of, answers, 0.4, RULES, of.lookups["step"] >= 4)
     other = replace(one, n_wrong=4.0, above=0.0)
-    found = figures([one, one, other, other])
-    assert found.auc.n_units == 4 and found.auc.low < found.auc.value < found.auc.high
+    found = figures([one, one, one, other, other, other])
+    assert found.auc.n_units == 6 and found.auc.low < found.auc.value < found.auc.high
     assert found.auc.value == pytest.approx(7.5 / 18)
     assert found.wrong_p.low == pytest.approx(0.25) and found.wrong_p.high == pytest.approx(1.0)
 
