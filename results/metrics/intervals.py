@@ -273,10 +273,11 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
     n_of_unit = np.bincount(at)
     below = share(np.bincount(at, values < value), n_of_unit, level)
     up_to = share(np.bincount(at, values <= value), n_of_unit, level)
-    ends = 0.5 + np.array([below.value - below.high, up_to.value - up_to.low])
-    if n < _FEWEST_DRAWN or np.isnan(ends).any():
+    lower = 0.5 + below.value - below.high
+    upper = 0.5 + up_to.value - up_to.low
+    if n < _FEWEST_DRAWN or np.isnan(lower + upper):
         return without_interval(value)._replace(n_units=n)
-    low, high = np.quantile(values, np.clip(ends, 0.0, 1.0))
+    low, high = np.quantile(values, np.clip([lower, upper], 0.0, 1.0))
     return ClusteredEstimate(value, float(low), float(high), n)
 
 

@@ -382,7 +382,7 @@ def detection_summary(run: Run, threshold: float | None = None, at: trust.At = "
     Returns
     -------
     role, n, share that was ever suspected, median_s (null if the share not suspected yet stays above one half); both
-    with intervals, that of median_s as if subjects were independent.
+    with intervals, clustered by vehicle.
     """
     return summary_of(detection_delay(run, threshold, at))
 
@@ -414,7 +414,7 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
         n = int(here.sum())
         if not n:
             continue
-        curve = kaplan_meier(delay_s[here], found[here])
+        curve = kaplan_meier(delay_s[here], found[here], vehicle[here])
         share = intervals.of_units(found[here], vehicle[here])
         median_s = intervals.ClusteredEstimate(median(curve), *median_band(curve), share.n_units)
         estimates = intervals.columns(share, "share") | intervals.columns(median_s, "median_s")
@@ -434,7 +434,8 @@ def waiting(delays: pd.DataFrame) -> pd.DataFrame:
     -------
     As `survival.kaplan_meier`.
     """
-    return kaplan_meier(delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool))
+    delay_s, found = delays.delay_s.to_numpy(np.float64), delays.found.to_numpy(bool)
+    return kaplan_meier(delay_s, found, delays.vehicle.to_numpy())
 
 
 def threshold_at(honest: Float[ndarray, "h"], false_positives: float) -> float:

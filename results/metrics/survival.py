@@ -5,10 +5,12 @@ import warnings
 import numpy as np
 import pandas as pd
 from numpy import ndarray
-from scipy.stats import CensoredData, ecdf
+from scipy.stats import CensoredData, ecdf, norm
+
+from results.metrics.intervals import LEVEL
 
 
-def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
+def kaplan_meier(lasted_s: ndarray, over: ndarray, unit: ndarray | None = None) -> pd.DataFrame:
     """Share that lasts longer than a duration.
 
     Parameters
@@ -17,10 +19,22 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
         Duration of each, as far as it was seen [n].
     over
         Whether it was seen to end [n].
+    unit
+        Number of the unit of each [n]: those of one unit depend on each other. Left out, all are independent.
 
     Returns
     -------
     duration_s, survival, and low, high: its 95 % confidence band (Greenwood, log-log); first row 0 s.
+
+    Notes
+    -----
+    With units, the variance of the logarithm of the survival is the sum over units of the squared sum of what each of
+    them adds to it, linearized [1]_. If each unit has one, that is Greenwood's.
+
+    References
+    ----------
+    .. [1] Williams, "Product-limit survival functions with correlated survival times", Lifetime Data Analysis 1(2),
+       1995.
     """
     if not len(lasted_s):
         return pd.DataFrame({"duration_s": [0.0], "survival": [1.0], "low": [1.0], "high": [1.0]})
@@ -29,7 +43,12 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
         curve = ecdf(CensoredData(uncensored=lasted_s[over], right=lasted_s[~over])).sf
         p = np.asarray(curve.probabilities)
         low = high = p
-        if over.any():
+        if over.any() and unit is not None:
+            error = _error_of_log(lasted_s, over, unit, curve.quantiles)
+            wide = norm.ppf((1 + LEVEL) / 2) * error / np.log(p)
+            low = p ** np.exp(-wide)
+            high = p ** np.exp(wide)
+        elif over.any():
             band = curve.confidence_interval(method="log-log")
             low = np.asarray(band.low.probabilities)
             high = np.asarray(band.high.probabilities)
@@ -41,6 +60,22 @@ def kaplan_meier(lasted_s: ndarray, over: ndarray) -> pd.DataFrame:
             "high": np.r_[1, np.where(np.isnan(high), p, high)],
         }
     )
+
+
+def _error_of_log(lasted_s: ndarray, over: ndarray, unit: ndarray, times_s: ndarray) -> ndarray:
+    """Standard error of the logarithm of the survival at each of the different durations [t]."""
+    last = np.searchsorted(times_s, lasted_s)
+    n_ended = np.bincount(last[over], minlength=len(times_s))
+    at_risk = np.cumsum(np.bincount(last)[::-1])[::-1]
+    left = at_risk - n_ended
+    expected = np.cumsum(n_ended / (at_risk * left))
+    _, row = np.unique(unit, return_inverse=True)
+    of_unit = np.zeros((row.max() + 1, len(times_s)))
+    for one, ended, k in zip(row, over, last, strict=True):
+        share = ended / left[k]
+        of_unit[one, :k] -= expected[:k]
+        of_unit[one, k:] += share - expected[k]
+    return np.sqrt((of_unit**2).sum(axis=0))
 
 
 def median(curve: pd.DataFrame) -> float:

@@ -125,6 +125,15 @@ def test_median_of_durations_has_the_band_of_the_curve():
     assert np.isnan(median_band(pd.DataFrame({"duration_s": [0.0], "low": [1.0], "high": [1.0]}))[0])
 
 
+def test_durations_that_repeat_each_other_narrow_no_band():
+    """Three pseudonyms of each vehicle with the same times say as much as one. That of single ones is Greenwood's."""
+    random = np.random.default_rng(5)
+    lasted_s, over = random.integers(1, 30, 40).astype(float), random.random(40) < 0.7
+    one, unit = kaplan_meier(lasted_s, over), np.arange(40)
+    pd.testing.assert_frame_equal(kaplan_meier(lasted_s, over, unit), one)
+    pd.testing.assert_frame_equal(kaplan_meier(np.tile(lasted_s, 3), np.tile(over, 3), np.tile(unit, 3)), one)
+
+
 @pytest.mark.parametrize(("statistic", "n"), [("mean", 10), ("auc", 5)])
 def test_coverage_of_few_units(statistic, n):
     """Of 600 worlds of ten units, or five attackers, 95 % intervals contain the truth in 92 % or more.
