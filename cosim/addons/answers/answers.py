@@ -5,7 +5,8 @@ They say how long vehicles meet, how old trust is, how often it comes too late, 
 Each sentence has a part for every swept key that changes its metric: the values along the key, and what the paired
 interval of the difference to the first of them says, replicate by replicate: of the last number, or of each word. The
 other keys are held at their reference: the value of the baseline, or else the first of the study. Each city has
-sentences of its own, because replicates of different cities share no traffic.
+sentences of its own, because replicates of different cities share no traffic. The last sentences name keys that change
+together with a key that is named.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,7 @@ from results.study import (
     that_matter,
 )
 from results.study_report import Answer
-from results.study_table import cautions, core, number
+from results.study_table import cautions, core, number, together
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,8 @@ _MOST_VALUES = 4
 def sentences(study: StudyResults) -> list[Answer]:
     """Four sentences with numbers, intervals and, where they hold, differences; a fifth if attacks are swept.
 
-    If cities are swept, as many for each of them. The last sentence says where keys are held that others do not name.
+    If cities are swept, as many for each of them. The last ones say where keys are held that others do not name, and
+    which keys change with a named one.
     """
     held: list[str] = []
     if _CITY not in study.keys or study.measures[_CITY].nunique() < 2:
@@ -117,7 +119,7 @@ def sentences(study: StudyResults) -> list[Answer]:
     if held:
         places = ", ".join(dict.fromkeys(held))
         found.append(Answer(f"Keys that a line does not name are held at {places}"))
-    return found
+    return found + list(map(Answer, together(study)))
 
 
 def _of_one_city(study: StudyResults, held: list[str]) -> list[Answer]:

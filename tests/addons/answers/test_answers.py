@@ -45,6 +45,15 @@ def test_models_that_read_no_window_are_named(tmp_path):
     assert "ages exceed a short window" in answers.sentences(study)[1].note
 
 
+def test_keys_that_change_with_a_named_one_are_not_said_to_be_held(tmp_path):
+    """As in a [[zip]] of ranges and penetrations: the sentences speak of the range alone."""
+    study = study_of(tmp_path, {"radio.range_m": (100.0, 200.0)}, value=lambda metric, keys, replicate: 7.0 + replicate)
+    study.points["fleet.penetration_p"] = study.points["radio.range_m"] / 500
+    study.keys = (*study.keys, "fleet.penetration_p")
+    said = str(answers.sentences(study)[-1])
+    assert "fleet.penetration_p changes with radio.range_m: 0.2 at 100, 0.4 at 200" in said
+
+
 def test_each_word_is_compared_with_the_first(tmp_path):
     """Numbers have an order, and the last is compared alone; 3, 3.5 and 4 with noise that all points share."""
 
