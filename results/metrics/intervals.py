@@ -208,7 +208,7 @@ def mean_of_pairs(
 
     Returns
     -------
-    The mean, NaN without pairs. The interval is NaN if there are fewer than three units.
+    The mean, NaN without pairs. The interval is NaN if there are fewer than three units, or if all values are the same.
 
     Notes
     -----
@@ -223,8 +223,8 @@ def mean_of_pairs(
     units, at = np.unique(np.concatenate([a, b]), return_inverse=True)
     n = len(units)
     value = float(np.mean(values)) if len(values) else float("nan")
-    if n < _FEWEST:
-        return ClusteredEstimate(value, float("nan"), float("nan"), n)
+    if n < _FEWEST or np.ptp(values) == 0:
+        return without_interval(value)._replace(n_units=n)
     residual = np.asarray(values, float) - value
     of_unit = np.bincount(at, np.tile(residual, 2))
     one, other = at[: len(a)], at[len(a) :]
@@ -301,7 +301,7 @@ def auc(
     Returns
     -------
     The probability, NaN if a kind has no values; n_units is the smaller of the two numbers of units. The interval is
-    NaN if this is below three.
+    NaN if this is below three, or if all values are the same.
 
     Notes
     -----
@@ -324,8 +324,8 @@ def auc(
     above = _placement(high, low, n_low)
     below = 1 - _placement(low, high, n_high)
     value = float(np.average(above, weights=n_high))
-    if n_units < _FEWEST:
-        return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
+    if n_units < _FEWEST or np.ptp(np.append(high, low)) == 0:
+        return without_interval(value)._replace(n_units=n_units)
     of_values = variance(above - value, high_unit, n_high)
     of_values += variance(below - value, low_unit, n_low)
     return around(value, of_values**0.5, n_units - 1, (0.0, 1.0), level)._replace(n_units=n_units)

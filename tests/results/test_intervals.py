@@ -29,6 +29,9 @@ def test_units_without_a_count_and_too_few():
     assert np.isnan(intervals.ratio(few, np.ones(4)).low) and intervals.ratio(np.append(few, 0.7), np.ones(5)).low > 0
     never = intervals.ratio(np.zeros(9), np.arange(1.0, 10.0))  # that nothing occurred is no proof that nothing can
     assert never.value == 0 and np.isnan(never.high) and never.n_units == 9
+    unit, same = np.arange(9), np.full(9, 0.5)  # nobody is known: 0.5 was said to be between 0.5 and 0.5
+    for found in (intervals.auc(same, unit, same, unit), intervals.mean_of_pairs(same, unit, unit + 9)):
+        assert found.value == 0.5 and np.isnan(found.low) and found.n_units >= 9
     assert np.isnan(intervals.ratio(np.zeros(0), np.zeros(0)).value)
 
 
