@@ -36,9 +36,9 @@ class ClusteredEstimate(NamedTuple):
     """Units with something to count."""
 
 
-def without_interval(value: float) -> ClusteredEstimate:
+def without_interval(value: float, n_units: int = 0) -> ClusteredEstimate:
     """A value of which no more is known."""
-    return ClusteredEstimate(value, float("nan"), float("nan"), 0)
+    return ClusteredEstimate(value, float("nan"), float("nan"), n_units)
 
 
 UNKNOWN = without_interval(float("nan"))
@@ -80,7 +80,7 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
         return UNKNOWN
     value = float(top.sum() / bottom.sum())
     if n < _FEWEST_DRAWN or np.ptp(top / bottom) == 0:
-        return without_interval(value)._replace(n_units=n)
+        return without_interval(value, n)
     drawn = _draws(n)
     ratios = (drawn @ top) / (drawn @ bottom)
     quantile = special.stdtrit(n - 1, (1 + level) / 2)
@@ -224,7 +224,7 @@ def mean_of_pairs(
     n = len(units)
     value = float(np.mean(values)) if len(values) else float("nan")
     if n < _FEWEST or np.ptp(values) == 0:
-        return without_interval(value)._replace(n_units=n)
+        return without_interval(value, n)
     residual = np.asarray(values, float) - value
     of_unit = np.bincount(at, np.tile(residual, 2))
     one, other = at[: len(a)], at[len(a) :]
@@ -276,7 +276,7 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
     lower = 0.5 + below.value - below.high
     upper = 0.5 + up_to.value - up_to.low
     if n < _FEWEST_DRAWN or np.isnan(lower + upper):
-        return without_interval(value)._replace(n_units=n)
+        return without_interval(value, n)
     low, high = np.quantile(values, np.clip([lower, upper], 0.0, 1.0))
     return ClusteredEstimate(value, float(low), float(high), n)
 
@@ -325,7 +325,7 @@ def auc(
     below = 1 - _placement(low, high, n_high)
     value = float(np.average(above, weights=n_high))
     if n_units < _FEWEST or np.ptp(np.append(high, low)) == 0:
-        return without_interval(value)._replace(n_units=n_units)
+        return without_interval(value, n_units)
     of_values = variance(above - value, high_unit, n_high)
     of_values += variance(below - value, low_unit, n_low)
     return around(value, of_values**0.5, n_units - 1, (0.0, 1.0), level)._replace(n_units=n_units)
