@@ -11,6 +11,8 @@ import sys
 import threading
 from pathlib import Path
 
+from cosim.runs.speed.allocator import share_one_arena
+
 _ROOT = Path(__file__).parents[2]
 
 
@@ -63,6 +65,7 @@ def ignore_settings_here() -> None:
 
 if __name__ == "__main__":
     gc.set_threshold(100_000, 50, 100)  # as in `cosim.__main__`
+    share_one_arena()
     ignore_settings_here()
     sys.argv = sys.argv[1:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

@@ -12,18 +12,23 @@ _MOST_OF_OLD_GLIBC = 32 << 20
 """Largest first size that an older glibc accepts [B]."""
 
 
+def share_one_arena() -> None:
+    """Let all threads use one arena, because a thread cannot use memory that is free in another arena.
+
+    A thread keeps the arena that it once has, and later threads share the arenas that exist. So this is called before
+    the process has a second thread.
+    """
+    if mallopt := _of_allocator():
+        mallopt(_M_ARENA_MAX, 1)
+
+
 def keep_freed_memory() -> None:
     """Let the process reuse freed memory instead of returning it to the system.
 
     The system clears every page before it hands it out again. That took a tenth of the processor time of a run with
-    5,000 vehicles, and a quarter of that of the process of a run with 53,000. All threads use one arena, because a
-    thread cannot use memory that is free in another arena. The function does nothing if the C library is not glibc, or
-    if the environment has settings of its own.
+    5,000 vehicles, and a quarter of that of the process of a run with 53,000.
     """
-    if any(name.startswith("MALLOC_") or name == "GLIBC_TUNABLES" for name in os.environ):
-        return
-    if mallopt := _of_libc("mallopt"):
-        mallopt(_M_ARENA_MAX, 1)
+    if mallopt := _of_allocator():
         if not mallopt(_M_MMAP_THRESHOLD, _MAPPED_ALONE_BYTES):  # refused
             mallopt(_M_MMAP_THRESHOLD, _MOST_OF_OLD_GLIBC)
         mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE_BYTES)
@@ -33,6 +38,13 @@ def give_back_freed_memory() -> None:
     """Return freed memory to the system. Done at times, this keeps a long run from fragmenting its memory."""
     if malloc_trim := _of_libc("malloc_trim"):
         malloc_trim(0)
+
+
+def _of_allocator() -> "ctypes._NamedFuncPointer | None":
+    """`mallopt`; None if the C library is not glibc, or if the environment has settings of its own."""
+    if any(name.startswith("MALLOC_") or name == "GLIBC_TUNABLES" for name in os.environ):
+        return None
+    return _of_libc("mallopt")
 
 
 def _of_libc(name: str) -> "ctypes._NamedFuncPointer | None":
