@@ -131,6 +131,7 @@ def evaluate_objects(
         lied, is_sent = lied[at], is_sent[at]
         number = None if number is None else number[at]
         kept_messages = _messages_of(step, messages, lists, own, is_sent, number)
+    kept = reported.take(is_sent)
     return Evaluated(
         lists=lists,
         n_points=n_points,
@@ -140,7 +141,7 @@ def evaluate_objects(
         reported=reported,
         lied=lied,
         own_messages=own_messages,
-        sent=_messages_of(step, messages, lists, reported, is_sent, number),
+        sent=replace(kept_messages, evaluation=kept.evaluation, visibility=kept.visibility),
         kept_messages=kept_messages,
         is_sent=is_sent,
         number=number,

@@ -85,7 +85,8 @@ class Known:
 
     def detection_step(self, detection: Int[ndarray, "k"]) -> Int[ndarray, "k"]:
         """Step of each detection, a row of `objects`."""
-        return self.step[self.detections.message[detection]]
+        step = self.step.astype(np.int32)  # messages keep it for several steps
+        return step[self.detections.message[detection]]
 
 
 def for_trust(
