@@ -20,7 +20,7 @@ Rows = dict[str, ndarray]
 _STEPS = ("step", "first_step", "last_step", "from_step", "to_step", "start_step", "end_step")
 """Columns that count steps."""
 
-_GROUP_ROWS = 120_000
+_GROUP_ROWS = 60_000
 """Rows from which a row group is encoded and written: memory is that of the rows that wait."""
 
 _LEVEL = 3
@@ -110,15 +110,16 @@ class PartEncoder:
     def _encode(self, rows: list[Rows], before: Future[None] | None) -> None:
         """Write one row group, sorted by key, after the one before."""
         table, stored = self._table, TABLES[self._table].stored
-        # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand.
-        given = {}
-        for name in rows[0]:
-            given[name] = np.concatenate([row[name] for row in rows])
+        # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand. The
+        # rows of a column are freed when it is joined.
+        given = {name: np.concatenate([row.pop(name) for row in rows]) for name in list(rows[0])}
         columns = stored_rows(given, self._columns)
+        del given
         key = TABLES[table].key
         order, tied = _order(columns, key)
         if order is not None:
-            columns = {name: values[order] for name, values in columns.items()}
+            for name, values in columns.items():
+                columns[name] = values[order]
         if len(tied):
             first = tied[0]
             named = ", ".join(f"{name} = {columns[name][first]}" for name in key)
