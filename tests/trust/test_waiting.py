@@ -10,6 +10,7 @@ from trust.models import MODELS, params_of
 from trust.models.trupercept import TruPercept
 from trust.open_steps import LARGE, OpenStep
 from trust.params import TrustParams
+from trust.step_evidence import StepEvidence
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 WINDOWS = [TrustParams(freshness_s=2.0), TrustParams(freshness_s=5.0), TrustParams(freshness_s="off", grace_s=3.0)]
@@ -87,3 +88,11 @@ def test_a_message_about_another_step_is_not_the_one_about_this_step():
     assert accepted(0) == (0, 0)
     assert accepted(1) == (1, 0)
     assert accepted(1)[1] == 1, "now the holder has a message of this evaluator"
+
+
+@pytest.mark.parametrize(("n", "kind"), [(65_535, np.uint16), (65_536, np.uint32)])
+def test_counts_of_a_step_have_room_for_all_its_evaluators(n, kind):
+    """Each pseudonym evaluates a detection once."""
+    none = np.zeros(0, np.int64)
+    sent = OpenStep(np.arange(n), none, none, np.zeros(0))
+    assert StepEvidence(sent).n_evaluations.dtype == kind
