@@ -112,7 +112,9 @@ class PartEncoder:
         table, stored = self._table, TABLES[self._table].stored
         # Many steps at once, because each conversion of a column costs the same for ten rows and for a thousand. The
         # rows of a column are freed when it is joined.
-        given = {name: np.concatenate([row.pop(name) for row in rows]) for name in list(rows[0])}
+        given = {}
+        for name in list(rows[0]):
+            given[name] = np.concatenate([row.pop(name) for row in rows])
         columns = stored_rows(given, self._columns)
         del given
         key = TABLES[table].key
