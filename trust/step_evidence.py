@@ -121,7 +121,8 @@ class StepEvidence:
         """Slots of pair i are block[i]:block[i + 1], one per detection of its subject."""
         self.sums: Int[ndarray, "s 2"] = np.zeros((0, 2), np.int64)
         """Per slot, over the evaluations by others than the subject: Phi and Phi e in units of 1 / ONE."""
-        kind = np.uint16 if sent.pseudonyms.size <= np.iinfo(np.uint16).max else np.uint32
+        has_room = sent.pseudonyms.size <= np.iinfo(np.uint16).max
+        kind = np.uint16 if has_room else np.uint32
         self.n_evaluations: UInt[ndarray, "s 2"] = np.zeros((0, 2), kind)
         """Per slot: all evaluations, and those by others that could see (Phi > 0). Each pseudonym counts once."""
         self._of_pairs: dict[Counting, tuple[ndarray, ndarray]] = {}
