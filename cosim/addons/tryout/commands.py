@@ -1,8 +1,9 @@
 """Commands for authors of extensions: `new` writes an example, `try` checks a class."""
 
 import shlex
+import sys
+from importlib.metadata import packages_distributions
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,9 @@ from cosim.cli.console import AsJson, plain, print_json, screen
 Kind = Literal["trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric"]
 
 
+_PACKAGES = ("cosim", "sensors", "trust", "results", "sumo_nets")
+
+
 def new(
     kind: Annotated[Kind, typer.Argument(help="The kind of extension.")],
     path: Annotated[Path, typer.Argument(metavar="NAME.py", help="File to write.")],
@@ -20,7 +24,7 @@ def new(
     """Write a small working example of a class, which you then change."""
     if path.suffix != ".py":
         raise ValueError(f"{path}: the file of a class ends in .py. Write for example cosim new {kind} mine.py.")
-    if path.stem.isidentifier() and not path.exists() and find_spec(path.stem):
+    if path.stem in {*_PACKAGES, *sys.stdlib_module_names, *packages_distributions()}:
         raise ValueError(f"{path}: a file of this name would hide the package {path.stem}. Give another name.")
     example = files("cosim.addons.tryout.templates").joinpath(f"{kind}.py").read_text(encoding="utf-8")
     try:
