@@ -49,6 +49,10 @@ FIGURES = {
     "encounters": Figure("cosim/studies/README.md", "cosim sweep encounters"),
     "strangers": Figure(f"{PAGES}/models/validation.md", "cosim sweep strangers"),
     "revocation": Figure(f"{PAGES}/models/validation.md", "cosim sweep revocation"),
+    "whitewashing": Figure("cosim/attacks/README.md", "cosim sweep whitewashing"),
+    "rings": Figure("cosim/attacks/README.md", "python -m tests.verification.rings", ("FOLDER",)),
+    "on_off": Figure("cosim/attacks/README.md", "python -m tests.verification.on_off", ("FOLDER",)),
+    "weather": Figure(f"{PAGES}/models/seeing.md", "cosim sweep weather"),
     "law": Figure(f"{PAGES}/models/freshness-law.md", "python -m tests.verification.freshness_law"),
     "hidden_pedestrian": Figure(
         "cosim/addons/driver/README.md", "python -m tests.verification.pedestrian_behind_bus", ("100",)
