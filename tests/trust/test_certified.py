@@ -26,6 +26,17 @@ def rows_of(messages):
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
+def test_by_hand():
+    """Unit 12 sees detection (3, 1) and cannot see (3, 2). What the liar says of the first goes, of the second stays.
+    Nobody evaluates the unit's own detections, (12, 5)."""
+    rows = [
+        (0, 3, 1, -1.0, 1.0), (0, 3, 2, -1.0, 1.0), (0, 12, 5, -1.0, 1.0),
+        (2, 3, 1, 0.9, 0.2), (2, 3, 2, -1.0, 0.0),
+    ]  # fmt: skip
+    found = upheld(messages_of(rows, 3), np.array([False, False, True]), np.array([12]))
+    assert rows_of(found) == [rows[1], rows[3], rows[4]]
+
+
 def test_what_a_message_lacks_is_one_claim():
     """Unit 12 finds one object missing in the message of 3, its own object 4. Others number theirs differently."""
     missing, detected = claim_number(np.array([0, 4]), MISSING), claim_number(np.array([0]), DETECTION)

@@ -1,5 +1,7 @@
 """Evaluations by hand, by law, and against the slow transcription."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -37,6 +39,31 @@ def test_eta_follows_the_method():
     assert eta_of(TrustParams(method="trupercept_2")) == -1
     assert eta_of(TrustParams(method="trupercept_2", eta=-0.5)) == -0.5
     assert eta_of(TrustParams(method="trupercept_1", eta=-1.0)) == -1
+
+
+def test_by_hand():
+    # vehicle 0 evaluates: its self report, its own detection (0.8) with vehicle 1's matched to it, its detection 2,
+    # vehicle 1's self report matched to 0's detection 3 (0.6), and an unmatched one that is implausible
+    table = SentDetections(
+        np.array([0, 0, 0, 0, 1, 1, 1, 1]),
+        np.array([0, 1, 2, 3, 0, 1, 2, 3]),
+        np.zeros(8, np.uint8),
+        np.array([1, 0.8, 1, 0.6, 1, 0.5, 0.9, 0.7]),
+        np.array([1, 0, 0, 0, 1, 0, 0, 0], bool),
+    )
+    lists = ObjectLists(np.array([0, 8]), np.arange(8), np.array([0]))
+    i, j = np.array([0, 1, 3]), np.array([7, 5, 4])
+    params = TrustParams()
+    groups = match(lists, table, (i, j, np.full(3, 0.5)), params)
+    points = np.array([0, 50, 0, 50, 25, 10, 30, 0])
+    plausible = np.array([1, 1, 1, 1, 1, 1, 0, 1], bool)
+    evaluated = evaluate(lists, groups, table, points, plausible, params)
+    #                        self own own own self' matched implausible matched to the self report
+    assert evaluated.evaluation.tolist() == [1, 0.8, 1, 0.6, 0.6, 0.8, -1, 1]
+    assert evaluated.visibility.tolist() == [1, 0.5, 0, 0.5, 0.25, 0.1, 1, 1]
+    no_check = replace(params, plausibility_in_evaluation=False)
+    evaluated = evaluate(lists, groups, table, points, plausible, no_check)
+    assert evaluated.visibility[[2, 6]].tolist() == [0, 0.3]
 
 
 @pytest.mark.parametrize("one_per_vehicle", [False, True])

@@ -82,6 +82,14 @@ def to_world(box: list[float], pose: list[float]) -> np.ndarray:
     return np.array([pose[0] + turn.real, pose[1] + turn.imag, pose[2] + z, *box[3:6], box[6] + pose[3]])
 
 
+def pcd(path: Path) -> np.ndarray:
+    """Points of a binary .pcd with four floats each."""
+    head, _, body = path.read_bytes().partition(b"DATA binary\n")
+    rows = dict(line.split(" ", 1) for line in head.decode().splitlines())
+    assert rows["FIELDS"] == "x y z rgb" and rows["SIZE"] == "4 4 4 4"
+    return np.frombuffer(body, "<f4").reshape(int(rows["POINTS"]), 4)
+
+
 def opv2v_box(vehicle: dict) -> np.ndarray:
     """Centre, whole size and yaw of a vehicle, as OpenCOOD composes them (roll and pitch 0)."""
     roll, yaw, pitch = np.radians(vehicle["angle"])

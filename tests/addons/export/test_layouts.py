@@ -179,8 +179,31 @@ def test_opv2v_truck_by_hand(run, tmp_path):
     assert other["location"] == [97, 70, 0] and other["center"] == [0, 0, 1.75] and other["extent"] == [5, 1.25, 1.75]
     assert other["angle"] == pytest.approx([0, 135, 0], abs=0.06) and other["speed"] == pytest.approx(18)  # 5 m/s
     assert readers.opv2v_box(other) == pytest.approx(TRUCK_WORLD, abs=2e-3)
-    cloud = (tmp_path / "train/step_000000_vehicle_0/0/000000.pcd").read_bytes().partition(b"DATA binary\n")[2]
-    assert np.frombuffer(cloud, "<f4").reshape(-1, 4)[:, :3].tolist() == truck.clouds(0, [0])[0]().tolist()
+
+
+def test_opv2v_round_trip(run, tmp_path):
+    export(opv2v.Opv2v, run, tmp_path)
+    for scenario, steps, members in (
+        ("step_000000_vehicle_0", [0], [0, 1]),
+        ("step_000001_vehicle_0", [1, 2, 3], [0, 1, 3]),
+    ):
+        folder = tmp_path / "train" / scenario
+        assert sorted(int(p.name) for p in folder.iterdir()) == members, "every folder is a vehicle"
+        for vehicle in members:
+            stamps = sorted(p.stem for p in (folder / str(vehicle)).glob("*.yaml"))
+            assert stamps == [f"{i:06d}" for i in range(len(steps))], "every vehicle has every time stamp"
+            for at, step in enumerate(steps):
+                points = readers.pcd(folder / f"{vehicle}/{at:06d}.pcd")
+                assert points[:, :3].tolist() == truck.clouds(step, [vehicle])[0]().tolist()
+                found = yaml.safe_load((folder / f"{vehicle}/{at:06d}.yaml").read_text())
+                seen = run.observability
+                seen = seen[(seen.step == step) & (seen.observer == vehicle) & (seen.n_points > 0)].actor
+                assert set(found["vehicles"]) == set(seen[seen != 2])
+                for number, other in found["vehicles"].items():
+                    true = run.actors[(run.actors.step == step) & (run.actors.actor == number)].iloc[0]
+                    assert readers.opv2v_box(other)[[0, 1, 2, 6]] == pytest.approx(
+                        [true.x_m, true.y_m, true.z_m, true.yaw_rad], abs=1e-3
+                    )
 
 
 def test_groups_of_at_most_seven_have_constant_members(run):

@@ -122,3 +122,17 @@ def test_overlap_by_hand():
     # Two unit squares turned by 45 degrees share a regular octagon: 2 (sqrt 2 - 1).
     square = np.array([[0.0, 0, 0, 1, 1, 1, 0.3]])
     assert overlap.footprint_overlap(square, square + np.eye(7)[6] * np.pi / 4) == pytest.approx(2 * (2**0.5 - 1))
+
+
+def test_overlap_is_symmetric_and_rigid():
+    rng = np.random.default_rng(0)
+    a = np.column_stack([rng.uniform(-2, 2, (500, 3)), rng.uniform(0.5, 5, (500, 3)), rng.uniform(-4, 4, 500)])
+    b = np.column_stack([rng.uniform(-2, 2, (500, 3)), rng.uniform(0.5, 5, (500, 3)), rng.uniform(-4, 4, 500)])
+    common = overlap.footprint_overlap(a, b)
+    assert overlap.footprint_overlap(b, a) == pytest.approx(common, abs=1e-9)
+    turn = 1.234
+    spin = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = []
+    for box in (a, b):
+        moved.append(np.column_stack([box[:, :2] @ spin.T + [1000, -700], box[:, 2:6], box[:, 6] + turn]))
+    assert overlap.footprint_overlap(*moved) == pytest.approx(common, abs=1e-8)
