@@ -127,6 +127,18 @@ def test_opposite_lanes(lateral_m):
     assert not (row["censored_left"] or row["censored_right"] or row["entered"] or row["departed"])
 
 
+def test_censoring_by_hand():
+    params = EncounterParams(radius_m=10, hysteresis_s=3, pairs="all")
+    (whole,) = follow(on_a_line(5, 5, 5), params)
+    assert whole["censored_left"] and whole["censored_right"] and whole["duration_s"] == 3
+    # Contact lost two steps before the end: it may still come back, so it counts as censored at 2 s.
+    (pause,) = follow(on_a_line(50, 5, 5, 50, 50), params)
+    assert pause["censored_right"] and pause["duration_s"] == 2 and not pause["censored_left"]
+    # Lost three steps before the end: over.
+    (over,) = follow(on_a_line(50, 5, 5, 50, 50, 50), params)
+    assert not over["censored_right"] and over["duration_s"] == 2
+
+
 def test_counts_and_first_contact():
     """Messages and evaluations are counted by direction; trust is that at its beginning."""
 

@@ -160,6 +160,17 @@ def test_evidence(tiny):
     assert (row.n, row.unevaluated_share, row.newest_s, row.oldest_s) == (3, pytest.approx(1 / 3), 2, 10)
 
 
+def test_trust_by_hand(tiny):
+    values = {0: [0.6, 0.8, 0.5, 0.5], 3: [0.7, 0.9, 0.4, 0.5], 7: [0.7, 0.3, 0.2, 0.5]}
+    rows = [{"step": s, "subject": v, "trust": t} for s, ts in values.items() for v, t in enumerate(ts)]
+    run = tiny(20, vehicles=fleet("honest", "honest", "malicious", "malicious"), trust=rows)
+    last = trust.final(run).set_index("role")
+    assert last["mean"].to_dict() == pytest.approx({"honest": 0.5, "malicious": 0.35})
+    assert last.n.to_dict() == {"honest": 2, "malicious": 2}
+    assert trust.over_time(run).query("time_s == 3 and role == 'honest'")["median"].item() == pytest.approx(0.8)
+    assert trust.mean(run)["mean"].tolist() == pytest.approx([4 / 6, 2.6 / 6])
+
+
 def test_trust_in_a_vehicle_is_that_in_the_pseudonym_it_has(tiny):
     """Vehicle 0 has pseudonym 9 until step 4, and 5 from then on; 7 is a further identity of vehicle 1.
 
@@ -218,6 +229,24 @@ def test_trust_without_a_server_where_vehicles_look_up_in_turns(tiny):
     assert shares["malicious"] == 1 and shares["honest"] == pytest.approx(2 / 6)  # vehicle 1 is never looked up
 
 
+def test_radio_by_hand(tiny):
+    rows = [
+        {"step": s, "n_sent": 2, "n_in_range": 4, "n_delivered": d, "n_lost_propagation": 4 - d, "cbr": 0.1}
+        for s, d in enumerate((4, 2))
+    ]
+    pdr = [
+        {"step": s, "distance_bin_m": ring, "n_in_range": 2, "n_delivered": d, "n_lost_propagation": 2 - d}
+        for s, ring, d in ((0, 0, 2), (0, 25, 2), (1, 0, 2), (1, 25, 0))
+    ]
+    run = tiny(2, radio=rows, pdr_by_distance=pdr)
+    (row,) = radio.overall(run).itertuples()
+    assert (row.n_sent, row.pdr, row.lost_propagation) == (4, 0.75, 0.25)
+    assert radio.over_time(run, 1).pdr.tolist() == [1, 0.5]
+    by_distance = radio.by_distance(run)
+    assert by_distance.distance_m.tolist() == [12.5, 37.5]
+    assert by_distance.pdr.tolist() == [1, 0.5]
+
+
 def test_measure_is_tidy(run):
     numbers = measure(run)
     assert list(numbers.columns) == ["metric", "group", "value", "low", "high", "n_units", "unit", "label", "note"]
@@ -225,7 +254,7 @@ def test_measure_is_tidy(run):
     assert not numbers.duplicated(["metric", "group"]).any()
     assert set(numbers.metric) <= set(METRICS)
     final = run.measure.value("trust.final.median", "malicious"), run.measure.value("trust.final.median", "honest")
-    assert final[0] < final[1]
+    assert final[0] < 0.1 < 0.6 < final[1]
     with pytest.raises(ValueError, match=r"no metric 'trust\.last'"):
         run.measure.value("trust.last")
 

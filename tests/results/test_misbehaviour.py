@@ -1,6 +1,7 @@
 """Telling attackers from honest vehicles: by hand, against SciPy's U test, and as laws."""
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -92,6 +93,16 @@ def test_curve_by_hand(town):
     assert (curve.false_positives * 7).round(4).tolist() == [0, 0, 1, 1, 3, 3, 5, 5, 6, 7]
 
 
+def test_delays_by_hand(town):
+    """Below 0.35: 3 after 2 s, 4 after 2 s, honest 0 after 4 s (at 7), 1 and 2 never; unrated 0 does not count."""
+    delay = misbehaviour.detection_delay(town, 0.35).set_index("subject")
+    assert delay.delay_s.to_dict() == {0: 4, 1: 16, 2: 16, 3: 2, 4: 2}
+    assert delay.found.to_dict() == {0: True, 1: False, 2: False, 3: True, 4: True}
+    ever = misbehaviour.detection_summary(town, 0.35).set_index("role")
+    assert ever.share.to_dict() == pytest.approx({"honest": 1 / 3, "malicious": 1})
+    assert ever.median_s["malicious"] == 2 and np.isnan(ever.median_s["honest"])
+
+
 def test_suspected_by_vehicles(tiny):
     """A server's value counts where an evaluation stands behind it: behind that of step 5 there is none."""
     lookups = [
@@ -116,6 +127,20 @@ def test_without_a_server(tiny):
     found = measure(run, topics=("misbehaviour",)).set_index(["metric", "group"]).value
     assert found["misbehaviour.time_to_detection.median_s", "malicious"] == 1
     assert "misbehaviour.time_to_detection_at_vehicle.median_s" not in found.index.get_level_values(0)
+
+
+def test_against_the_u_test(run):
+    """From the Parquet files alone, with SciPy's U statistic."""
+    who = pq.read_table(run.path / "vehicles").to_pandas().set_index("vehicle")
+    table = pq.read_table(run.path / "trust").to_pandas().astype({"trust": float}).join(who, "subject")
+    table = table[(table.step <= table.last_step) & (table.n_evaluations > 0)]
+    honest = table.trust[(table.role == "honest") & (table.step >= who.attack_start_step.min())]
+    lies = table.trust[(table.role == "malicious") & (table.step >= table.attack_start_step)]
+    u = mannwhitneyu(honest, lies).statistic
+    row = misbehaviour.classification(run).set_index("role").loc["malicious"]
+    assert row.auc == pytest.approx(u / len(honest) / len(lies), abs=1e-12)
+    assert row.threshold == pytest.approx(np.quantile(honest, 0.05, method="higher"), abs=0.02)
+    assert row.false_positives <= 0.05 < (honest <= row.threshold).mean() + 1e-9
 
 
 @given(trusts, trusts)

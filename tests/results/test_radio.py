@@ -51,6 +51,19 @@ def test_latency_adds_up(tiny):
     assert found.latency_s.tolist() == pytest.approx([0.0008 * 2**0.5, 0.0016 * 2**0.5])  # upper edges
 
 
+def test_delivery_by_what_stands_between(tiny):
+    pdr = [
+        {"distance_bin_m": ring, "los_state": state, "n_in_range": 10, "n_delivered": n}
+        for ring, state, n in ((0, "los", 10), (0, "nlos", 5), (25, "los", 8), (25, "nlos", 1))
+    ]
+    run = tiny(1, pdr_by_distance=pdr)
+    assert radio.by_distance(run).pdr.tolist() == [0.75, 0.45]
+    by_los = radio.by_distance(run, by_los=True)
+    assert by_los.los_state.tolist() == ["los", "los", "nlos", "nlos"]
+    assert by_los.pdr.tolist() == [1, 0.8, 0.5, 0.1]
+    assert by_los.distance_m.tolist() == [12.5, 37.5] * 2
+
+
 @pytest.mark.parametrize(
     ("model", "row", "why"),
     [
@@ -85,6 +98,14 @@ def test_the_map(tiny):
     run.config["radio"] = {"relay": {"max_hops": 3}}
     with_relays = radio.by_place(run, 50.0)
     assert with_relays.pdr.isna().all() and with_relays.cbr.tolist() == [0.25, 0.25]
+
+
+def test_the_way_to_the_server(tiny):
+    lost = {"n_reached": -3, "n_lost": 2, "n_late": 1, "n_outage": 1, "n_addressed": 10, "n_informed": 9}
+    rows = [{"step": 0, "n_reports": 10} | dict.fromkeys(lost, 0) | {"n_reached": 10}]
+    rows.append({"step": 1, "n_reports": 10} | lost | {"n_reached": 10 - 3})
+    (way,) = radio.to_server(tiny(2, server=rows)).itertuples()
+    assert (way.n_reports, way.reached, way.lost, way.outage, way.informed) == (20, 0.9, 0.05, 0.05, 0.9)
 
 
 def test_two_pictures(run, other):

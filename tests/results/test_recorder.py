@@ -5,9 +5,11 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from results.archive import open_run
 from results.recorder import Recorder
 from results.tables import TABLES
 from tests.fingerprint import fingerprint
+from tests.results.synthetic import write
 
 
 def trust_of(subject, trust):
@@ -149,8 +151,9 @@ def test_resume_equals_a_run_in_one_go(tmp_path):
     assert (broken / "trust" / "notes.txt").exists() and not list(broken.rglob("*.partial"))
 
 
-def test_a_table_without_rows_is_read_as_parquet(run):
+def test_a_table_without_rows_is_read_as_parquet(tmp_path):
     """By pandas, and by file name: it has its columns, with their kinds, and no row."""
+    run = open_run(write(tmp_path / "run", steps=20))
     empty = [name for name in run.tables if not len(run.table(name))]
     assert empty
     for name in empty:
@@ -176,3 +179,10 @@ def test_small_on_disk(run):
     names = [name for name in TABLES if TABLES[name].level != "full"]
     size = sum(path.stat().st_size for name in names for path in (run.path / name).iterdir())
     assert size / len(run.actors) / run.dt_s < 500
+
+
+def test_open_run_gives_what_was_written(tmp_path):
+    path = write(tmp_path / "small", steps=30, level="standard")
+    run = open_run(path)
+    assert "receptions" not in run.tables and len(run.actors)
+    assert run.actors.groupby("step").actor.is_monotonic_increasing.all()

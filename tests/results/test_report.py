@@ -2,7 +2,6 @@
 
 import base64
 import re
-import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,8 +11,8 @@ from results import report
 from results.archive import open_run
 from results.figures import style
 from results.figures.catalogue import FIGURES
-from results.manifest import drop_tables
 from results.tables import TABLES
+from tests.results.synthetic import write
 
 VOID = {"meta", "img", "br"}
 
@@ -58,14 +57,12 @@ def test_page(text):
     assert "range_m" in text and "Resolved configuration" in text
 
 
-def test_page_of_a_summary_with_a_name_of_markup(short, tmp_path):
+def test_page_of_a_summary_with_a_name_of_markup(tmp_path):
     """Names cannot break the page, what is missing is said, and folders are made."""
-    run = open_run(shutil.copytree(short, tmp_path / "a <b> & c"))
-    drop_tables(run.path, [name for name, table in TABLES.items() if table.level != "summary" and name in run.tables])
-    run = open_run(run.path)
+    run = open_run(write(tmp_path / "a <b> & c", steps=20, level="summary"))
     text = report.write(run, tmp_path / "new" / "folder" / "report.html").read_text()
     assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
-    assert "No figure of ages" in text and "no table trust_lookups" in text
+    assert "No figure of freshness" in text and "holds no trust lookups" in text
     assert "not in this run: kept from record level full up" in text
 
 

@@ -1,4 +1,4 @@
-"""Detections that may be of one object, by stated accuracy: against a slow twin, and laws."""
+"""Detections that may be of one object, by stated accuracy: by hand, against a slow twin, and laws."""
 
 import numpy as np
 import pytest
@@ -32,11 +32,51 @@ def people(*x_m):
     return boxes_at(xyz, SIZES[PEDESTRIAN]), np.full(n, PEDESTRIAN, np.uint8)
 
 
+def test_two_boxes_of_one_person_that_hardly_overlap():
+    """0.5 m apart, each known to 0.25 m along each axis: d^2 = 0.25 / (2 x 0.0625) = 2, so exp(-1) = 0.37 of all such
+    pairs are farther apart. Their boxes of 0.7 m overlap by 0.2 m: an IoU of 0.2 / 1.2 = 1/6. With 0.8 m they do not
+    overlap, and exp(-0.64 / 0.25) = 0.077. With 1.1 m it is exp(-1.21 / 0.25) = 0.008, below 1 %."""
+    for apart_m, agrees in ((0.5, np.exp(-1.0)), (0.8, np.exp(-2.56)), (1.1, None)):
+        boxes, label = people(0.0, apart_m)
+        i, j, value = pairs_within(boxes, label, round_variance(0.25, 2), np.array([0, 1]), GATE)
+        if agrees is None:
+            assert not len(i)
+        else:
+            assert (i.tolist(), j.tolist()) == ([0], [1])
+            np.testing.assert_allclose(value, agrees)
+
+
 def test_exact_detections_match_where_they_overlap():
     """With exact positions, 0.5 m is far outside of the gate; the overlap of 1/6 remains."""
     boxes, label = people(0.0, 0.5)
     _, _, value = pairs_within(boxes, label, bounded(np.zeros((2, 3))), np.array([0, 1]), GATE)
     np.testing.assert_allclose(value, 1 / 6)
+
+
+def test_the_rear_of_a_truck():
+    """A vehicle behind a truck of 9 m reports a car of 4.2 m at its rear. The centres are 2.4 m apart. The difference
+    of sizes explains (9 - 4.2) / 2 = 2.4 m of it, so they agree fully. 1 m farther they are 1 m apart."""
+    lwh = np.array([[9.0, 2.5, 3.3], [4.2, 1.75, 1.5]])
+    label, owner = np.array([TRUCK, CAR], np.uint8), np.array([0, 1])
+    for shift_m, d2 in ((2.4, 0.0), (3.4, 1.0 / (2 * 0.09))):
+        boxes = Boxes(np.array([[0.0, 0, 0], [-shift_m, 0, 0]]), lwh, np.zeros(2))
+        _, _, value = pairs_within(boxes, label, round_variance(0.3, 2), owner, Gate(0.01, 0.9))
+        if np.exp(-0.5 * d2) > 0.01:
+            np.testing.assert_allclose(value, np.exp(-0.5 * d2))
+        else:
+            assert not len(value)
+
+
+def test_a_pair_does_not_depend_on_who_else_is_there():
+    """The rear of a truck of 12 m is a car of 4.5 m to another vehicle. The centres are 9.5 m apart, of which sizes
+    explain 3.75 m, and sigma is 2 m for both: d^2 = 5.75^2 / 8. A truck far away changes nothing."""
+    lwh = np.array([[12.0, 2.5, 2.0], [4.5, 2.5, 2.0], [18.0, 2.5, 2.0]])
+    boxes = Boxes(np.array([[0.0, 0, 0], [9.5, 0, 0], [500.0, 0, 0]]), lwh, np.zeros(3))
+    label = np.array([TRUCK, CAR, TRUCK], np.uint8)
+    for rows in (np.arange(2), np.arange(3)):
+        i, j, value = pairs_within(boxes.take(rows), label[rows], round_variance(2.0, len(rows)), rows, Gate(0.01, 0.1))
+        assert (i.tolist(), j.tolist()) == ([0], [1])
+        np.testing.assert_allclose(value, np.exp(-0.5 * 5.75**2 / 8))
 
 
 def slowly(a, a_label, a_var, b, b_label, b_var):

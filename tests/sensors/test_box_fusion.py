@@ -237,6 +237,50 @@ def test_two_detections_by_hand():
         assert found.boxes.xyz_m[0, 0] == pytest.approx(10.02, abs=1e-4)
 
 
+def test_a_pose_error_counts_once():
+    """Vehicle 1 reports one object three times, each with the variance 0.03. Their mean has 0.01. On top of it there
+    are the vehicle's pose error of 0.04 and the receiver's of 0.04."""
+    boxes = boxes_at(np.tile([10.0, 0, 1], (3, 1)), (4.0, 2, 2))
+    accuracy = StatedAccuracy(
+        np.tile([0.03, 0, 0.03], (3, 1)), np.full(3, 0.01), np.full(3, 0.01), np.zeros((2, 2)),
+        np.tile([0.04, 0.0], (2, 1)),
+    )  # fmt: skip
+    views, zero = ObjectViews(boxes, np.zeros(3, np.uint8), np.ones(3, int), accuracy), np.array([0])
+    s = Scene(views, np.array([0, 3]), np.arange(3), zero, np.zeros(3, int), zero, np.ones(3))
+    assert s.fused().variance_m2[0] == pytest.approx([0.09, 0, 0.09], abs=1e-5)
+
+
+def test_shared_objects_reveal_the_offset_of_a_vehicle():
+    """A vehicle that is off by 0.3 m sees nine objects that the receiver sees, and one that the receiver does not."""
+    rng = np.random.default_rng(1)
+    true = np.column_stack([rng.uniform(5, 40, 10), rng.uniform(-20, 20, 10), np.ones(10)])
+    offset = np.array([0.3, -0.2, 0.0])
+    boxes = boxes_at(np.concatenate([true[:9], true + offset]), (4.0, 2, 2))
+    accuracy = StatedAccuracy(
+        np.tile([0.01, 0, 0.01], (19, 1)), np.full(19, 0.01), np.full(19, 0.01), np.array([[0.0, 0], [20, 0]]),
+        np.tile([POSE_M2, TURN_RAD2], (2, 1)),
+    )  # fmt: skip
+    views = ObjectViews(boxes, np.zeros(19, np.uint8), np.repeat([0, 1], [9, 10]), accuracy)
+    group = np.concatenate([np.arange(9), np.arange(10)])
+    s = Scene(views, np.array([0, 19]), np.arange(19), np.array([0]), group, np.append(np.arange(9), 18), np.ones(19))
+    found, plain = s.fused(), s.fused(align=False)
+    assert np.hypot(*(found.boxes.xyz_m[9, :2] - true[9, :2])) < 0.05
+    assert found.variance_m2[9, 0] < 0.03 < POSE_M2 * 2 < plain.variance_m2[9, 0]
+    assert np.abs(found.boxes.xyz_m[:9, :2] - true[:9, :2]).max() < 0.05
+
+
+def test_a_displaced_detection_moves_little():
+    """Three vehicles agree; a fourth says 3 m away. Its pose is as uncertain as theirs."""
+    s, _, _, _, thing = scene(3, n_vehicles=4, n_objects=10, found_p=1.0)
+    s = replace(s, weight=np.ones(len(s.member)))
+    victim = np.flatnonzero((s.views.message == 3) & (thing == 0))
+    xyz = s.views.boxes.xyz_m.copy()
+    xyz[victim, 0] += 3.0
+    moved = replace(s, views=s.views._replace(boxes=replace(s.views.boxes, xyz_m=xyz)))
+    before, after = s.fused().boxes.xyz_m, moved.fused().boxes.xyz_m
+    assert 0 < np.abs(after - before).max() < 0.15
+
+
 def test_headings_of_opposite_directions_and_at_the_branch_cut():
     """Headings 3.1 and -3.1 have the mean pi; 0.1 and pi + 0.12 are one axis, whose direction the majority says."""
     for yaw, want in (

@@ -27,6 +27,15 @@ def by_shapely(a: Boxes, b: Boxes) -> np.ndarray:
     return out
 
 
+def test_by_hand():
+    # unit cubes: one moved by half a side shares 1/2 of 3/2; one turned by 45 degrees shares the regular octagon
+    # 2 (sqrt 2 - 1) = 0.8284 of 2 - 0.8284; one moved by a full side only touches
+    a = Boxes(np.zeros((3, 3)), np.ones((3, 3)), np.zeros(3))
+    b = Boxes(np.array([[0.5, 0, 0], [0, 0, 0], [1, 0, 0]]), np.ones((3, 3)), np.array([0, np.pi / 4, 0]))
+    octagon = 2 * (np.sqrt(2) - 1)
+    assert iou_3d(a, b) == pytest.approx([1 / 3, octagon / (2 - octagon), 0.0], abs=1e-15)
+
+
 def test_reference_vectors():
     found = cases("a_iou3d")
     a, b = (

@@ -60,6 +60,35 @@ def by_hand(method, eta=-1.0, points=0, plausible=True, in_range=True, sender_tr
     )
 
 
+@pytest.mark.parametrize(
+    ("method", "eta", "a", "b"),
+    [
+        ("trupercept_1", 0.0, 1.65 / 2.25, 0.225 / 0.75),
+        ("trupercept_1_local_bias", 0.0, (1.65 / 2.25 + 0.8) / 2, 0.225 / 0.75),
+        ("trupercept_2", 0.0, 1.65 / 2, 0.225),
+        ("trupercept_2", -1.0, 1.65 / 2, 0.0),  # -0.275, clipped
+        ("trupercept_3", 0.0, 0.8, 0.225),
+        ("trupercept_3_corrected", 0.0, 0.8, 0.225),
+        ("corrected", -1.0, 0.8, 0.0),
+        ("local", -1.0, 0.8, 0.0),
+        ("any", -1.0, 1.0, 1.0),
+        ("any_confirmed", -1.0, 1.0, 0.9),
+        ("confirmed_or_local", -1.0, 1.0, 0.0),
+        ("local_confirmed", -1.0, 1.0, 0.0),
+        ("averaging", -1.0, (0.8 + 0.3) / 1.5, 0.9),
+        ("additive", -1.0, 1.0, 0.225),  # 1.1, clipped
+        ("half_additive", -1.0, 1.0, 0.45),  # (0.8 + 0.6 + 0.8) / 2, clipped
+    ],
+)
+def test_scores_by_hand(method, eta, a, b):
+    fused = by_hand(method, eta)
+    assert fused.score.tolist() == pytest.approx([a, b], abs=1e-12)
+    assert fused.seed.tolist() == [0, 2]
+    assert fused.ego_detected.tolist() == [True, False]
+    assert fused.n_sources.tolist() == [2, 1]
+    assert fused.n_evaluations.tolist() == [4, 2]
+
+
 @pytest.mark.parametrize("method", ["trupercept_1", "trupercept_1_local_bias", "trupercept_2", "trupercept_3"])
 def test_plausibility_removes_only_groups_that_the_ego_did_not_detect(method):
     plausible, implausible = by_hand(method, 0.0), by_hand(method, 0.0, plausible=False)

@@ -133,6 +133,16 @@ def test_beta_by_hand():
     assert (scores.n_evaluations[0], scores.newest_step[0], scores.oldest_step[0]) == (3, 2, 0)
 
 
+def test_beta_correlated_by_hand():
+    """Vehicle 2 denies five detections of 1, and 3 confirms one: 5 / (1 + 4 / 2) = 5 / 3 against 1."""
+    rows = [(2, 1, k, -1.0, 1.0) for k in range(5)] + [(3, 1, 0, 1.0, 1.0)]
+    for correlation, denied in ((0.5, 5 / 3), (1.0, 1.0), (0.0, 5.0)):
+        model = build("beta_correlated", correlation=correlation)
+        open_step(model, 0, {1: [1.0] * 5, 2: [1.0], 3: [1.0]})
+        add(model, 0, rows)
+        assert trust_of(model, 1) == pytest.approx(2 / (1 + denied + 2), abs=1e-6)
+
+
 def test_negative_evidence_follows_eta():
     rows = [(2, 1, 0, 0.0, 0.8), (3, 1, 0, -0.25, 0.8), (4, 1, 0, 0.5, 0.8), (1, 1, 0, -1, 1), (5, 1, 0, 0.5, 0.0)]
     for eta, neg in ((-1.0, [0.0, 0.2, 0.0]), (0.0, [0.8, 0.8, 0.0]), (-0.5, [0.0, 0.4, 0.0])):

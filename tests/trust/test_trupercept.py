@@ -9,6 +9,20 @@ from trust.params import TrustParams, window_steps
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations
 
 
+def test_by_hand():
+    # vehicle 7 sends s = 1 and s = 0.5; 8 reports (0.8, Phi 1) and (-1, Phi 0.5), 9 (0.2, Phi 0.5), 7 itself (1, 1)
+    # T(0) = (0.8 + 0.1) / 1.5 = 0.6; T(1) = -1; T = (0.6 - 0.5) / 1.5
+    model = TruPercept(TrustParams(), 1.0)
+    open_step(model, 0, {7: [1, 0.5], 8: [], 9: []})
+    add(model, 0, [(8, 7, 0, 0.8, 1), (8, 7, 1, -1, 0.5), (9, 7, 0, 0.2, 0.5), (7, 7, 0, 1, 1)])
+    scores = model.scores(0)
+    assert scores.subject.tolist() == [7]
+    assert scores.trust[0] == pytest.approx(0.1 / 1.5, abs=1e-12)
+    assert scores.weight[0] == 1.5
+    assert scores.n_evaluations[0] == 3
+    assert (scores.newest_step[0], scores.oldest_step[0]) == (0, 0)
+
+
 def test_never_below_zero_and_back_to_default():
     model = TruPercept(TrustParams(freshness_s=3.0), 1.0)
     open_step(model, 0, {1: [0.7], 2: []})

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.addons.trust_models import opinions
 from cosim.addons.trust_models.eigentrust import eigentrust
+from cosim.addons.trust_models.majority_ban import MajorityBan, MajorityBanParams
 from cosim.addons.trust_models.mate import PRIOR, Mate, MateParams, gained
-from cosim.addons.trust_models.minhas import MinhasParams
+from cosim.addons.trust_models.minhas import MinhasParams, experienced
 from tests.trust.histories import add, build, histories, open_step, play, trust_of
 from tests.trust.test_judged_evaluators import JUDGING
 from tests.verification import trust_models as literal
@@ -79,6 +81,27 @@ def test_two_half_steps_equal_one(name, world):
         np.testing.assert_allclose(getattr(a, column), getattr(b, column), rtol=1e-6, atol=1e-9)
 
 
+def test_operators_of_subjective_logic():
+    x, y = np.array([0.2, 0.8, 0.0]), np.array([0.4, 0.0, 0.6])
+    np.testing.assert_allclose(opinions.discounted(np.asarray(opinions.projected(x)), y), [0.08, 0.0, 0.92], atol=1e-12)
+    # opposite belief, by hand: b = .2 .4 + .8 0, d = .2 0 + .8 .4, u = 0 + 1 .6
+    np.testing.assert_allclose(opinions.discounted_opposite(x, y), [0.08, 0.32, 0.6], atol=1e-12)
+    # S = 2: g = 1 - 1.3^-2 = 0.408284
+    np.testing.assert_allclose(
+        opinions.of_check(np.array(1.5), np.array(0.5)), [0.306213, 0.102071, 0.591716], atol=1e-6
+    )
+
+
+@given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1), st.floats(0.01, 1)), min_size=2, max_size=6))
+def test_cumulative_fusion_is_a_sum(parts):
+    x = np.array([np.array(p) / sum(p) for p in parts])
+    one = x[0]
+    for other in x[1:]:
+        one = np.array(literal.fuse(one, other))
+    np.testing.assert_allclose(opinions.of_evidence(opinions.evidence_of(x).sum(axis=0)), one, atol=1e-9)
+    np.testing.assert_allclose(one.sum(), 1)
+
+
 def test_a_good_vehicle_can_be_trustworthy():
     """Published code compares P with 1, which nothing exceeds; here 1/2 is exceeded by a single good opinion."""
     model = build("subjective_logic")
@@ -125,9 +148,41 @@ def test_eigentrust_of_published_figures():
     np.testing.assert_array_equal(twice, np.tile(t, 2))  # holders do not bear on each other
 
 
-def test_a_bad_experience_weighs_more():
+def test_minhas_by_hand():
+    # good: 0 -> 0.1 -> (2 s later, l^2 = 0.9604) 0.9604 0.9 0.1 + 0.1 = 0.186436; bad: 1.3 0.186436 - 0.3 = -0.0576332
+    # bad with T < 0, 1 s later: (1 / 0.98) 0.7 (-0.0576332) - 0.3 = -0.341167
+    p, true, false = MinhasParams(), np.array([True]), np.array([False])
+    t = experienced(np.zeros(1), true, np.ones(1), p)
+    assert t[0] == pytest.approx(0.1)
+    t = experienced(t, true, np.array([0.98**2]), p)
+    assert t[0] == pytest.approx(0.186436)
+    t = experienced(t, false, np.ones(1), p)
+    assert t[0] == pytest.approx(-0.0576332)
+    assert experienced(t, false, np.array([0.98]), p)[0] == pytest.approx(-0.3411666, abs=1e-6)
     with pytest.raises(ValueError, match="bad experience must weigh more"):
         MinhasParams(gain=0.3, loss=-0.2)
+
+
+def test_announcement_by_hand():
+    # rater 2: 1.0 at step 0, 0.5 at step 300; rater 3: 0 at step 300; read at 300: weights 1/2 and 1
+    # rater 2: (0.5 + 0.5) / 1.5 = 2/3; mean with 0: 1/3; at 450 the certificate is 150 s old: weights 1/4 and 3/4,
+    # (0.25 + 0.375) / 1 = 0.625, mean 0.3125, times 3/4
+    model = build("announcement")
+    open_step(model, 0, {1: [1.0], 2: [], 3: []})
+    add(model, 0, [(2, 1, 0, 1.0, 0.5)])
+    open_step(model, 300, {1: [1.0, 1.0], 2: [], 3: []})
+    add(model, 300, [(2, 1, 0, 1.0, 0.5), (2, 1, 1, -1.0, 0.5), (3, 1, 0, -1.0, 1.0)])
+    assert trust_of(model, 1) == pytest.approx(1 / 3, abs=1e-6)
+    assert trust_of(model, 1, 450) == pytest.approx(0.3125 * 0.75, abs=1e-6)
+    assert model.scores(900).subject.size == 0
+
+
+def test_a_vehicle_is_guilty_after_six_reports():
+    model = build("report_count")
+    for step in range(6):
+        open_step(model, step, {1: [1.0], 2: []})
+        add(model, step, [(2, 1, 0, -1, 1)])
+        assert (trust_of(model, 1) < 0.5) == (step == 5)
 
 
 def test_history_is_looked_up_by_pseudonym():
@@ -143,6 +198,16 @@ def test_history_is_looked_up_by_pseudonym():
         if name != "false_discovery":  # which accuses nobody where one in three is denied: that is the usual share
             assert trust_of(model, 1) < 0.5
 
+
+def test_majority_ban_by_hand():
+    # one against three about object 0 of vehicle 1, twice a step: vehicle 2 loses and has two strikes per step
+    model = MajorityBan(MajorityBanParams(ban_strikes=4, strike_window_s=2.0), 1.0)
+    for step in range(3):
+        open_step(model, step, {1: [1.0, 1.0], 2: [0.5], 3: [], 4: []})
+        about = [(v, 1, k, -1.0 if v == 2 else 1.0, 1.0) for v in (2, 3, 4) for k in (0, 1)]
+        add(model, step, [*about, (3, 2, 0, 1.0, 1.0)])
+        assert (trust_of(model, 2) == 0) == (step >= 1)
+    assert trust_of(model, 1) > 0.5
     # banned at step 1, it votes no more in step 2, where nothing is contradicted: no strike
 
 

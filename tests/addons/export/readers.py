@@ -1,5 +1,6 @@
 """Readers of the export layouts, written from their conventions and sharing no code with the exporters."""
 
+import json
 import math
 from pathlib import Path
 
@@ -88,6 +89,23 @@ def pcd(path: Path) -> np.ndarray:
     rows = dict(line.split(" ", 1) for line in head.decode().splitlines())
     assert rows["FIELDS"] == "x y z rgb" and rows["SIZE"] == "4 4 4 4"
     return np.frombuffer(body, "<f4").reshape(int(rows["POINTS"]), 4)
+
+
+def opv2v_yaml(path: Path) -> dict:
+    """A file of one time stamp, for the few forms of YAML in it."""
+    out: dict = {}
+    vehicle: dict = {}
+    for line in path.read_text().splitlines():
+        key, _, value = line.strip().partition(":")
+        depth = len(line) - len(line.lstrip())
+        parsed = json.loads(value) if value.strip() else {}
+        if depth == 0:
+            out[key] = parsed
+        elif depth == 2:
+            vehicle = out["vehicles"][int(key)] = {}
+        else:
+            vehicle[key] = parsed
+    return out
 
 
 def opv2v_box(vehicle: dict) -> np.ndarray:

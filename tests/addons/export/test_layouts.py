@@ -5,7 +5,6 @@ import io
 
 import numpy as np
 import pytest
-import yaml
 
 from cosim.addons.export import kitti, opv2v, trupercept
 from cosim.base.plane import wrapped
@@ -172,7 +171,7 @@ def test_opv2v_truck_by_hand(run, tmp_path):
     export(opv2v.Opv2v, run, tmp_path)
     # vehicle 3 comes in step 1: two scenarios
     assert sorted(p.name for p in (tmp_path / "train").iterdir()) == ["step_000000_vehicle_0", "step_000001_vehicle_0"]
-    found = yaml.safe_load((tmp_path / "train/step_000000_vehicle_0/0/000000.yaml").read_text())
+    found = readers.opv2v_yaml(tmp_path / "train/step_000000_vehicle_0/0/000000.yaml")
     assert found["lidar_pose"] == pytest.approx([100, 50, 1.73, 0, 90, 0], abs=0.06)
     assert found["true_ego_pos"] == pytest.approx([100, 50, 0, 0, 90, 0], abs=0.06)
     other = found["vehicles"][1]
@@ -195,7 +194,7 @@ def test_opv2v_round_trip(run, tmp_path):
             for at, step in enumerate(steps):
                 points = readers.pcd(folder / f"{vehicle}/{at:06d}.pcd")
                 assert points[:, :3].tolist() == truck.clouds(step, [vehicle])[0]().tolist()
-                found = yaml.safe_load((folder / f"{vehicle}/{at:06d}.yaml").read_text())
+                found = readers.opv2v_yaml(folder / f"{vehicle}/{at:06d}.yaml")
                 seen = run.observability
                 seen = seen[(seen.step == step) & (seen.observer == vehicle) & (seen.n_points > 0)].actor
                 assert set(found["vehicles"]) == set(seen[seen != 2])

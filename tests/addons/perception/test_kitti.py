@@ -92,6 +92,22 @@ def test_perfect_detector():
     assert kitti.average_precision(truth, truth, "car")["easy"].ap11 == pytest.approx(100)
 
 
+def test_by_hand():
+    """Four cars in two frames; scores .9 hit, .8 false, .7 hit, .6 hit; one car is missed.
+
+    Recall steps of 1/40 never skip a hit (4 cars: 1/4 per hit), so the thresholds are .9, .7, .6 with
+    precisions 1/1, 2/3, 3/4; made monotone 1, .75, .75; recall samples 0, 1, 2 of 41 are filled, the rest 0.
+    11 points take sample 0 only: 100/11. 40 points: (.75 + .75) / 40.
+    """
+    truth = objects([(0, 0, 0), (0, 10, 0), (1, 0, 0), (1, 10, 0)])
+    found = objects([(0, 0.1, 0), (0, 50, 0), (0, 10.1, 0), (1, 0.1, 0)], [0.9, 0.8, 0.7, 0.6])
+    answer = kitti.average_precision(truth, found, "car")["moderate"]
+    assert answer.precision[:4] == pytest.approx([1, 0.75, 0.75, 0])
+    assert answer.ap11 == pytest.approx(100 / 11)
+    assert answer.ap40 == pytest.approx(100 * 1.5 / 40)
+    assert answer.n_truth == 4
+
+
 def test_ranking_is_over_all_frames():
     """Renumbering frames changes nothing; neither does an empty frame."""
     rng = np.random.default_rng(3)

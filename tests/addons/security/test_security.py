@@ -1,5 +1,6 @@
 """Trust as a classifier of vehicles, by hand."""
 
+import numpy as np
 import pytest
 
 from cosim.addons.security import security
@@ -36,6 +37,20 @@ def test_suspicion_needs_evaluations(tiny):
     run = tiny(20, config=config, vehicles=vehicles, trust_lookups=looked)
     assert security.excluded(run).query("subject == 1").excluded.all()
     assert misbehaviour.at_lookup(run).set_index("role").suspected["malicious"] == 0
+
+
+def test_confusion_by_hand(town):
+    """Below 0.35 and rated: attackers' 0.3, 0.1, 0.3 of 5, honest 0.2 of 9 (the 0.0 of vehicle 2 is not rated).
+
+    At the last moment: attackers 0.1 and 0.3, honest 0.2 of three.
+    """
+    value, vehicle, _ = security.confusion(town, 0.35).to_dict("records")
+    assert [value[k] for k in ("tp", "fp", "fn", "tn")] == [3, 1, 2, 8]
+    assert (value["precision"], value["recall"], value["fpr"], value["f1"]) == (3 / 4, 3 / 5, 1 / 9, 6 / 9)
+    assert value["mcc"] == pytest.approx((3 * 8 - 1 * 2) / np.sqrt(4 * 5 * 9 * 10))
+    assert value["informedness"] == pytest.approx(3 / 5 - 1 / 9)
+    assert [vehicle[k] for k in ("tp", "fp", "fn", "tn")] == [2, 1, 0, 2]
+    assert np.isnan(security.rates(0, 0, 0, 5)["recall"])
 
 
 def test_false_exclusions_precision_and_error_by_hand(town):

@@ -20,6 +20,10 @@ from trust.tables import TrustScores
 LIARS = ["v00", "v07", "v15", "v23"]
 WHO = [NAMES.index(name) for name in LIARS]
 GHOST = {"ids": LIARS, "attack": "ghost_insertion", "ghosts": "car"}
+POLICIES = {
+    "periodical": {"period_s": 2.0}, "disposable": {"n_messages": 3}, "distance": {"distance_m": 25.0},
+    "random": {"change_p": 0.4}
+}  # fmt: skip
 NAMED = {"observer", "evaluator", "sender", "subject", "source", "pose", "pseudonym"}
 
 
@@ -36,6 +40,24 @@ def with_vehicles(tables):
                 rows[name] = rows[name].map(names)
         renamed[table] = rows.sort_values(list(rows.columns), kind="stable").reset_index(drop=True)
     return renamed
+
+
+@pytest.fixture(scope="module")
+def constant():
+    return with_vehicles(play([GHOST], n_steps=8))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("policy", POLICIES)
+def test_linkage_at_the_server_equals_no_policy_but_for_names(policy, constant):
+    """Bit for bit, in every table, though pseudonyms change several times."""
+    pseudonyms = {"policy": policy, "linkage": "server"} | POLICIES[policy]
+    tables = play([GHOST], n_steps=8, pseudonyms=pseudonyms)
+    assert tables["pseudonyms"].groupby("vehicle").size().mean() > 1.5
+    assert not set(tables["pseudonyms"].pseudonym) <= set(range(N))
+    found = with_vehicles(tables)
+    for name in constant:
+        pd.testing.assert_frame_equal(found[name], constant[name], check_exact=True, check_dtype=False)
 
 
 @pytest.mark.verify

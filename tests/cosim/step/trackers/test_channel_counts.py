@@ -7,7 +7,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.step.trackers.attack_start import AttackStartTracker
-from cosim.step.trackers.channel_counts import channel_busy_ratio, latency_histogram, vehicle_channel
+from cosim.step.trackers.channel_counts import channel_busy_ratio, latency_histogram, pdr_by_distance, vehicle_channel
+
+COLUMNS = {"n_delivered": 0, "n_lost_propagation": 1, "n_lost_collision": 2}
+frames = st.lists(st.tuples(st.floats(0, 400), st.integers(0, 2), st.integers(0, 2)), max_size=80)
+
+
+@given(frames)
+def test_pdr_by_distance_twin(rows):
+    distance_m = np.array([row[0] for row in rows], float)
+    los_state, outcome = (np.array([row[i] for row in rows], np.int64) for i in (1, 2))
+    found, total = pdr_by_distance(distance_m, los_state.astype(np.uint8), outcome, COLUMNS)
+    cells = Counter((int(d) // 25 * 25, los, out) for d, los, out in rows)
+    expected = [
+        (low, los, sum(cells[low, los, out] for out in range(3)), *(cells[low, los, out] for out in range(3)))
+        for low, los in sorted({(low, los) for low, los, _ in cells})
+    ]
+    names = ("distance_bin_m", "los_state", "n_in_range", *COLUMNS)
+    assert list(zip(*(found[name].tolist() for name in names), strict=True)) == expected
+    assert {name: values.item() for name, values in total.items()} == {
+        "n_in_range": len(rows), **{name: sum(row[2] == code for row in rows) for name, code in COLUMNS.items()}
+    }  # fmt: skip
 
 
 @given(st.lists(st.floats(0, 5), max_size=50))

@@ -123,3 +123,24 @@ def test_messages_forwarded_beyond_range_do_not_count(tmp_path):
     ended = rows.groupby("pir_steps").n_received.sum()
     assert ended[ended > 0].to_dict() == dict(counts) and len(counts) > 2 and n_beyond > 100
     assert (got.message_step < got.step).sum() > 20
+
+
+def test_encounters(run, distance_m):
+    """Start, end and smallest distance of every encounter of equipped vehicles; breaks below 3 s are bridged."""
+    steps, n_steps, expected = distance_m, run.manifest["steps"], set()
+    for pair in {pair for pairs in steps.values() for pair in pairs if pair[0] < pair[1]}:
+        stretch: list[int] = []
+        for step in range(n_steps + 1):
+            near = step < n_steps and steps[step].get(pair, np.inf) <= 100
+            gone = step < n_steps and pair not in steps[step]
+            if stretch and (step == n_steps or gone or (not near and step - stretch[-1] >= 3)):
+                expected.add((*pair, stretch[0], stretch[-1] + 1, round(min(steps[s][pair] for s in stretch), 1)))
+                stretch = []
+            if near:
+                stretch.append(step)
+    found = run.encounters
+    rows = zip(found.a, found.b, found.start_step, found.end_step, found.min_distance_m, strict=True)
+    assert {(a, b, start, end) for a, b, start, end, _ in expected} == {tuple(map(int, row[:4])) for row in rows}
+    near_m = {row[:4]: row[4] for row in expected}
+    for row in found.itertuples():
+        assert row.min_distance_m == pytest.approx(near_m[row.a, row.b, row.start_step, row.end_step], abs=0.06)
