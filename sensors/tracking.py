@@ -247,10 +247,11 @@ def track(
 
     Notes
     -----
-    Kalman filter with nearly constant velocity (continuous white-noise acceleration), a textbook's [1]_ and that of
-    Stone Soup, with which tests compare it. Noise is the same along both axes of the plane, so the errors along and
-    across the first heading stay independent, and a track has two times three covariances instead of sixteen.
-    Assignment: `assigned`. Existence: `existence_gain`.   Deviations: the expected speed of a new track is ours.
+    Each track has two Kalman filters with nearly constant velocity (continuous white-noise acceleration), a textbook's
+    [1]_, which interact: `predicted`. Tests compare a single one with Stone Soup. Noise is the same along both axes of
+    the plane, and errors along and across the first heading count as independent, so that a filter has two times three
+    covariances instead of sixteen. Assignment: `assigned`. Existence: `existence_gain`.   Deviations: the expected
+    speed of a new track is ours.
 
     .. [1] Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001.
     """
@@ -646,11 +647,11 @@ def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[
     Notes
     -----
     A pair is possible if both are in one group of classes, the squared Mahalanobis distance d² of the innovation is in
-    the gate, and the predicted density exceeds that of other detections: exp(-d² / 2) / (2 pi sqrt(det S)) >
-    `other_per_m2`. Among the possible pairs, the assignment has the largest product of the ratios of the two densities,
-    which is the largest sum of -d² - log det S - constant. The term log det S keeps uncertain tracks from taking the
-    detections of certain ones [1]_.   Deviations: the detection probability is taken as 1/2, so that it cancels; the
-    gate is ours.
+    the gate for one of the two motions, and the predicted density exceeds `other_per_m2`, that of other detections. It
+    is the mean over the motions of exp(-d² / 2) / (2 pi sqrt(det S)), by their probabilities. Among the possible pairs,
+    the assignment has the largest product of the ratios of the two densities. Their term det S keeps uncertain tracks
+    from taking the detections of certain ones [1]_.   Deviations: the detection probability is taken as 1/2, so that
+    it cancels; the gate is ours.
 
     .. [1] R. Altendorfer, S. Wirkert, A complete derivation of the association log-likelihood distance for
        multi-object tracking, arXiv 1508.04124, 2015.
@@ -701,7 +702,7 @@ def _reach_m(tracks: Tracks, xy_m: Float[ndarray, "n 2"], found: Found, params: 
 
 @compiled
 def _compare(begin, end, track, where, after_s, noise, motion_p, motion, squared, log_density):
-    """Write for pairs the smaller squared distance of both motions, and the logarithm of their mean density x 2 pi."""
+    """Write for pairs the smaller squared distance of both motions, and the logarithm of 2 pi times their density."""
     for k in range(begin, end):
         i, t = track[k], after_s[k]
         squared[k] = np.inf

@@ -236,6 +236,22 @@ def test_like_the_slow_twin(seed):
                 assert state.existence_p[k] == pytest.approx(existence, abs=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_turning_and_moving_the_world_and_renaming_observers_change_nothing_else(seed):
+    """Numbers stay the same, and velocities turn."""
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    moments, moved = scene(seed), []
+    for observers, seen in moments:
+        number, observer = 3 * observers.number + 1, 3 * seen.observer + 1
+        place, yaw = seen.xy_m @ turn.T + [300.0, -70.0], seen.yaw_rad + np.arctan2(0.8, 0.6)
+        found_there = replace(seen, observer=observer, xy_m=place, yaw_rad=yaw)
+        moved.append((replace(observers, number=number), found_there))
+    for one, other in zip(played(moments)[1], played(moved)[1], strict=True):
+        assert one.object_id.tolist() == other.object_id.tolist()
+        assert other.velocity_mps == pytest.approx(one.velocity_mps @ turn.T, abs=1e-7, nan_ok=True)
+        assert other.variance == pytest.approx(one.variance)
+
+
 def test_like_stone_soup():
     """Three observers in a crowd, all objects with one noise: the same numbers, and states within 1e-9."""
     moments = scene(3, n_observers=3, n_objects=9, n_moments=7, most_s=0.0)
