@@ -417,6 +417,8 @@ class Run:
         """Names and types of the columns asked for; all if that is None. ValueError if the run does not have them."""
         self.require(name)
         known = list(TABLES[name].columns)
+        if isinstance(columns, str):
+            raise ValueError(f"columns = {columns!r} should be a list of names, such as [{columns!r}].")
         if TABLES[name].virtual(known if columns is None else columns, None):
             self.require("detections")
         unknown = sorted(set(columns or ()) - set(known))

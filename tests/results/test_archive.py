@@ -107,6 +107,8 @@ def test_missing_tables_and_columns(broken):
         run.table("delivery")
     with pytest.raises(ValueError, match="Table trust has no column trst"):
         run.table("trust", ["trst"])
+    with pytest.raises(ValueError, match=r"columns = 'trust' should be a list of names, such as \['trust'\]"):
+        run.table("trust", "trust")
     with pytest.raises(AttributeError):
         run.delivery.head()
 

@@ -9,6 +9,7 @@ from cosim.addons.trust_models.false_discovery import critical, tail
 from cosim.addons.trust_models.prbi import dealt
 from tests.trust.histories import add, build, history, open_step, received_by, trust_of
 from tests.verification import judged_evaluators as literal
+from trust.claims import N_OBJECTS, SPEED
 from trust.models import MODELS
 from trust.params import KINDS
 from trust.tables import SERVER, ReceivedEvaluations
@@ -180,6 +181,19 @@ def test_an_evaluator_that_sends_in_other_steps_withholds_nothing():
         add(model, step, [(v, i, k, 0.9, 1.0) for v in others for i in senders for k in (0, 1)])
     for v in (1, 2, 3, 4):
         assert trust_of(model, v) > 0.6
+
+
+def test_an_honest_evaluator_may_be_almost_certain_of_a_velocity():
+    """Liars are certain, Phi = 1. Tracks of cars that keep their speed support a true velocity with up to 0.993."""
+    trust = []
+    for visibility in (0.9, 0.999, 1.0):
+        model = build("belief_graph", evidence=KINDS)
+        for step in range(5):
+            open_step(model, step, {v: [1.0] * (2 + N_OBJECTS) for v in (1, 2, 3)})
+            own = [(v, i, SPEED, 1.0, visibility) for v in (1, 2, 3) for i in (1, 2, 3) if v != i]
+            add(model, step, own)
+        trust.append(trust_of(model, 1))
+    assert trust[1] > trust[0] > trust[2]
 
 
 def test_the_holders_own_evaluations_are_marked_in_the_log():

@@ -313,7 +313,7 @@ def edges_and_forms(steps, now, dt, sent, n_kinds, decay, grace):
                     if kind == 1 or k == 2:
                         of[("missing", "speed")[kind - 1]][0] += left * pos
                         of[("missing", "speed")[kind - 1]][1] += left * neg
-                    if pos + neg >= 0.99 or (kind == 1 and pos > 0.34):
+                    if pos + neg >= 1 or (kind == 1 and pos > 0.34):
                         form[v][4] += left
         for v, i in made:
             further = max(certain[v, i] - 1, 0)

@@ -276,7 +276,7 @@ class BeliefGraph(Stepwise):
         vehicles[:, 1] += detects & silent
         vehicles[:, 2] += counted(by, is_detection & (pos + neg > 0.5))
         vehicles[:, 3] += counted(by, is_detection & (pos + neg <= 0.5))
-        is_impossible = (pos + neg >= 0.99) | (kind == MISSING) & (pos > 0.34)
+        is_impossible = (pos + neg >= 1.0) | (kind == MISSING) & (pos > 0.34)
         vehicles[:, 4] += counted(by, ~is_detection & is_impossible)
         return Graph(edges, vehicles)
 
