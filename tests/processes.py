@@ -202,8 +202,8 @@ def _carried_out(
     left = sorted(path.name for path in scratch.iterdir())
     for path in left:
         subprocess.run(["rm", "-rf", str(scratch / path)], check=False)
-    texts = [path.read_text(errors="replace") if path.exists() else "" for path in (out, err)]
-    return Ended(os.waitstatus_to_exitcode(status), *texts, usage.ru_utime + usage.ru_stime, left)
+    said, complained = (path.read_text(errors="replace") if path.exists() else "" for path in (out, err))
+    return Ended(os.waitstatus_to_exitcode(status), said, complained, usage.ru_utime + usage.ru_stime, left)
 
 
 def _child(

@@ -34,7 +34,7 @@ def heat_map(rows: pd.DataFrame):
     )
     frame = pd.concat([found, ideal]).rename(columns={"model": MODEL, "attack": ATTACK})
     frame = frame.assign(group="malicious", unit="1", label="honest above attacker (AUC)")
-    figure = _heat_maps(frame, ["misbehaviour.auc:malicious"], ATTACK, MODEL)
+    figure = _heat_maps(frame, ["misbehaviour.auc:malicious"], ATTACK, MODEL, at=())
     axes = figure.axes[0]
     axes.set_title(axes.get_title(loc="left").replace("seeds", "worlds"))
     return figure

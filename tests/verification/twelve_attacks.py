@@ -91,8 +91,9 @@ def bound(stream: EvidenceStream, since: np.ndarray) -> tuple[float, float]:
         for subject, cell in zip((of, by), cells, strict=True):
             here = step >= begin[subject]
             np.add.at(counts, (subject[here], cell[here]), 1)
-        mine = who[counts[who].any(axis=1)]
-        found = area(counts[mine][:, counts[mine].any(axis=0)], attacks[mine])
+        has_clues = counts[who].any(axis=1)
+        mine, vehicle = who[has_clues], stream.pseudonyms["vehicle"][has_clues]
+        found = area(counts[mine][:, counts[mine].any(axis=0)], attacks[mine], vehicle)
         pairs = float(attacks[mine].sum() * (~attacks[mine]).sum())
         if np.isfinite(found.value) and not found.value * pairs <= best[0]:
             best = (found.value * pairs, pairs)
