@@ -42,7 +42,8 @@ def counts(run: Run) -> pd.DataFrame:
 
 def _encounters(run: Run) -> pd.DataFrame:
     frame = encounters.durations(run)
-    seen = frame.assign(group=encounters.named(frame))[encounters.followed(frame).to_numpy()]
+    names = encounters.named(frame, encounters.definitions(run))
+    seen = frame.assign(group=names)[encounters.followed(frame).to_numpy()]
     ended = seen.over.to_numpy(bool)
     found = pd.DataFrame({"group": seen.group.to_numpy(), "value_s": seen.lasted_s.to_numpy()})
     found = found.assign(n=ended.astype(np.int64), n_open=(~ended).astype(np.int64))

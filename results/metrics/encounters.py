@@ -29,10 +29,14 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def named(frame: pd.DataFrame) -> pd.Series:
-    """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart."""
-    keys = list(zip(*(frame[column].tolist() for column in DEFINITION), strict=True))
-    kinds = list(dict.fromkeys(keys))
+def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
+    """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart.
+
+    They are told apart from those of the rows `among`: of a run, all `definitions`, so that one has the same name
+    whichever others have encounters. Left out, from those of the frame.
+    """
+    keys = _kinds(frame)
+    kinds = list(dict.fromkeys(keys if among is None else _kinds(among)))
     text = [f"{pairs}, {radius_m:g} m" for pairs, radius_m, *_ in kinds]
     more = {
         "hysteresis_s": lambda s: f", {s:g} s", "los": lambda los: f", {los.replace('_', ' ')}",
@@ -45,6 +49,11 @@ def named(frame: pd.DataFrame) -> pd.Series:
             text = [one + words(value) if n[one] > 1 else one for one, value in zip(text, values, strict=True)]
     names = dict(zip(kinds, text, strict=True))
     return pd.Series([names[key] for key in keys], frame.index, dtype=object)
+
+
+def _kinds(frame: pd.DataFrame) -> list[tuple]:
+    """The definition of each row."""
+    return list(zip(*(frame[column].tolist() for column in DEFINITION), strict=True))
 
 
 def definitions(run: Run) -> pd.DataFrame:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from cosim.base.codes import LookupState, labels
 from results.metrics import lookups
-from results.metrics.encounters import DEFINITION, named
+from results.metrics.encounters import DEFINITION, definitions, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
 from results.metrics.lookups import AGES, FRESH_S, no_lookups
 from results.run import Run
@@ -261,7 +261,7 @@ def without_trust(run: Run) -> pd.DataFrame:
         })  # fmt: skip
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units", "share_note"]
     found = pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
-    return found.assign(definition=named(found))
+    return found.assign(definition=named(found, definitions(run)))
 
 
 def _not_over(n: int, n_without: int) -> str:

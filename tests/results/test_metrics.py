@@ -292,6 +292,20 @@ def test_where_no_vehicle_senses_no_encounter_ends_without_trust(tiny):
         freshness.without_trust(run)
 
 
+def test_a_definition_has_one_name_whichever_others_have_encounters(tiny):
+    """Two definitions differ in what cuts a line of sight, and by one of them nobody met: its name is no shorter."""
+    asked = [
+        {"radius_m": 50.0, "hysteresis_s": 3.0, "pairs": "los", "los": los, "pedestrians": False}
+        for los in ("buildings", "buildings_and_vehicles")
+    ]
+    rows = [encounter(0, 1, 2, 8, pairs="los", los="buildings", hysteresis_s=3)]
+    run = tiny(20, config={"encounters": asked}, encounters=rows, vehicles=fleet("honest", "honest"))
+    name, _ = encounters.summary(run).definition
+    assert name == "los, 50 m, buildings"
+    assert freshness.without_trust(run).definition.tolist() == [name]
+    assert study_curves.counts(run).group.tolist() == [name]
+
+
 def test_frames_are_frames(run):
     for frame in (radio.by_distance(run), freshness.distribution(run), misbehaviour.detection_delay(run)):
         assert isinstance(frame, pd.DataFrame) and len(frame)

@@ -30,7 +30,7 @@ def draw(runs: Sequence[Run], radius_m: float | None = None, pairs: str | None =
     titles = []
     for i, run in enumerate(runs):
         definition = _chosen(run, radius_m, pairs)
-        titles.append(str(named(definition.to_frame().T).iloc[0]))
+        titles.append(str(named(definition.to_frame().T, definitions(run)).iloc[0]))
         for row, what in enumerate(whats):
             sample = of_run(run, what, definition)
             in_row = panels[2 * row : 2 * row + 2]
