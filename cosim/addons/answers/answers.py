@@ -54,7 +54,7 @@ class _Quantity:
 _QUANTITIES = (
     _Quantity(
         "encounters.duration.km_median_s",
-        "The median encounter of vehicles ({group}) lasts",
+        "The median encounter ({group}) lasts",
         "longer",
         "shorter",
         "No median duration of encounters: in no run did half of them end while they were watched",
@@ -68,7 +68,7 @@ _QUANTITIES = (
     ),
     _Quantity(
         "freshness.encounters_without_trust.share",
-        "The share of encounters ({group}) that are over before trust is known is",
+        "The share of encounters of equipped vehicles ({group}) that are over before trust is known is",
         "higher",
         "lower",
         "No share of encounters without trust: no two vehicles met that look up trust",
@@ -78,7 +78,7 @@ _QUANTITIES = (
         "When it is looked up, an honest vehicle has more trust than {group} one in a share of comparisons (AUC) of",
         "higher",
         "lower",
-        "No comparison of honest with malicious vehicles: none of the runs has looked up trust of both",
+        "No comparison of honest with malicious vehicles: no run has looked up trust of both since an attack",
     ),
 )
 _UNDER_ATTACK = _Quantity(
@@ -179,6 +179,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
         _left_out(study, of),
         _of_value(study, of),
         _beyond(of, frame),
+        _not_over(frame),
         _in_the_open(study, of),
         *cautions(study, chosen(study.summary, [name]), [name], are_named=False),
     ]
@@ -369,6 +370,12 @@ def _beyond(of: _Quantity, frame: pd.DataFrame) -> str:
     if not (means > means.index).any():
         return ""
     return "ages exceed a short window because a vehicle uses a value until the next one arrives"
+
+
+def _not_over(frame: pd.DataFrame) -> str:
+    """That a share counts encounters that outlast the run, if they are many in one (`freshness.without_trust`)."""
+    are_many = frame.note.str.contains("are not over").any()
+    return "encounters that go on at the end of a run count as over then" if are_many else ""
 
 
 def _in_the_open(study: StudyResults, of: _Quantity) -> str:

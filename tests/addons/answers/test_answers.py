@@ -213,3 +213,21 @@ def test_the_share_of_fresh_evaluations_is_that_of_all_lookups(tmp_path):
     found = pd.read_parquet(path)
     found.assign(value=found.value.where(found.group == "all", 0.1)).to_parquet(path)
     assert "a fresh one, 50 % on average" in answers.sentences(study)[1].note
+
+
+def test_a_share_of_encounters_is_of_equipped_vehicles_and_says_which_are_not_over(tmp_path):
+    """Its definition may count all actors, pedestrians too. The note of one run stands for the others."""
+    share = "freshness.encounters_without_trust.share"
+    measured = (("encounters.duration.km_median_s", "all, 60 m"), (share, "all, 60 m"))
+    study = study_of(tmp_path, KEYS, measured=measured, value=lambda metric, keys, r: 0.5 + r)
+    said = answers.sentences(study)
+    assert str(said[0]).startswith("The median encounter (all, 60 m) lasts")
+    assert (
+        str(said[2]).startswith("The share of encounters of equipped vehicles (all, 60 m) that are")
+        and not said[2].note
+    )
+    path = tmp_path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    found.assign(note=np.where(found.index == 3, "2 of 9 are not over", "")).to_parquet(path)
+    del study.measures
+    assert answers.sentences(study)[2].note == "encounters that go on at the end of a run count as over then"
