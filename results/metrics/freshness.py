@@ -225,7 +225,7 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     kinds = zip(labels(LookupState), STATES, strict=True)
     shares = ", ".join(f"count_if(state = '{label}') / count(*) AS \"{name}\"" for label, name in kinds)
     return run.sql(f"""
-        SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {shares}
+        SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {shares}
         FROM trust_lookups WHERE variant = $variant GROUP BY time_s ORDER BY time_s
     """, every_s=every_s)  # fmt: skip
 

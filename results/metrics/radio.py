@@ -48,7 +48,7 @@ def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
     return _asked(run, _TRAFFIC, _NOBODY, f"""
-        SELECT floor(step * $dt_s / $every_s) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
+        SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
         FROM radio GROUP BY time_s HAVING sum(n_in_range) > 0 ORDER BY time_s
     """, every_s=every_s)  # fmt: skip
 

@@ -138,6 +138,14 @@ def test_a_value_without_evaluation_is_no_knowledge(tiny):
     assert freshness.within(run, 10).share.iloc[0] == pytest.approx(1 / 3)
 
 
+def test_each_step_of_0_1_s_has_a_window_of_0_1_s(tiny):
+    """43 x 0.1 / 0.1 is below 43 in binary: the step is in the window of 4.3 s nevertheless."""
+    lookups = [{"step": step, "receiver": 0, "subject": 1, "state": "no_value"} for step in (42, 43)]
+    run = tiny(44, vehicles=fleet("honest", "honest"), trust_lookups=lookups)
+    run.manifest["dt_s"] = 0.1
+    assert freshness.over_time(run, 0.1).time_s.tolist() == pytest.approx([4.2, 4.3])
+
+
 def test_encounters_without_trust(tiny):
     """Four directions: known at once, after 3 s, never, and not by the end of the run."""
     rows = [

@@ -32,5 +32,5 @@ def evaluators_per_object(run: Run) -> float:
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """A row per window of time: time_s (of their start) and the columns of `multiplicity`."""
-    time_s = "floor(e.step * $dt_s / $every_s) * $every_s AS time_s"
+    time_s = "floor(e.step * $dt_s / $every_s + 1e-9) * $every_s AS time_s"
     return run.sql(f"SELECT {time_s}, {_RATIOS} GROUP BY time_s ORDER BY time_s", every_s=every_s)
