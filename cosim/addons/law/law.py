@@ -329,6 +329,18 @@ def without_trust(
 
 
 @compiled
+def _log_nothing(log_none, summed, s, publication, begin, end):
+    """Logarithm of the probability that a publication has no evidence of the steps from `begin` to `end`."""
+    if begin >= end:
+        return 0.0
+    late = min(max(publication - len(log_none) + 1, begin), end)  # what was sent before has arrived, or never will
+    total = summed[s, late] - summed[s, begin]
+    for step in range(late, end):
+        total += log_none[publication - step - 1, s, step]
+    return total
+
+
+@compiled
 def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_followed):
     total = 0.0
     for row in range(len(meetings.subject)):
@@ -345,15 +357,17 @@ def _without_trust(log_none, summed, gate, meetings, window_steps, loss_p, n_fol
                     held = k
             k -= 1
         latest = gate[min(held, len(gate) - 1)]
-        low = max(latest - window_steps + 1, 0)
+        low, published = max(latest - window_steps + 1, 0), -1
+        settled = 0.0  # of the steps below `low`, which no later publication counts
         never, before = 0.0, 1.0  # nothing known; no evidence in any publication so far
         for k in range(first, last + 1):
             if k <= last_before and not on_road[gate[k]]:
                 continue
-            high = max(gate[k] - len(log_none) + 1, low)  # what was sent before has arrived, or never will
-            log_now = summed[s, high] - summed[s, low]
-            for step in range(high, gate[k]):
-                log_now += log_none[gate[k] - step - 1, s, step]
+            begin = max(gate[k] - window_steps + 1, low)
+            if published >= 0:
+                settled += _log_nothing(log_none, summed, s, published, low, min(begin, published))
+            low, published = begin, gate[k]
+            log_now = settled + _log_nothing(log_none, summed, s, published, low, published)
             now = min(np.exp(log_now), before)
             missed = loss_p ** on_road[gate[k : last_before + 1]].sum()
             since = max(k, last_before + 1)  # lookups from this publication on tell

@@ -110,9 +110,9 @@ def test_encounters_without_trust_by_hand():
     evidence = law.EvidenceChances(np.append(log_none, np.zeros(4))[None, None])
     gate = law.PublishingSteps(4, [0, 4, 8])
     steps = [5, 6, 7, 8, 9]
-    # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 4 to 7: it
-    # brings the first evidence with 1/8 (1 - 1/16); then the lookups of steps 8 and 9 are missed with 1/4.
-    want = 1 / 8 * (1 - 1 / 16) / 4 + 1 / 8 / 16
+    # The publication of step 4 (steps 1 to 3) counts at the start: known with 7/8. That of step 8 adds steps 5 to 7: it
+    # brings the first evidence with 1/8 (1 - 1/8); then the lookups of steps 8 and 9 are missed with 1/4.
+    want = 1 / 8 * (1 - 1 / 8) / 4 + 1 / 8 / 8
     assert law.without_trust(evidence, meetings(5, 10, steps, [0.5] * 5), gate, 4, 0.0) == pytest.approx(want)
     # A holder that came in step 5, or was away in step 4 and has forgotten, has the publication of step 8 alone, with
     # steps 5 to 7.
@@ -130,6 +130,28 @@ def test_encounters_without_trust_by_hand():
     assert law.without_trust(evidence, meetings(9, 10, [9], [0.5], [8], 9), gate, 4, 0.0) == 1
     # No publication in the encounter of a holder that came with it.
     assert law.without_trust(evidence, meetings(5, 8, steps[:3], [0.5] * 3, range(5)), gate, 4, 0.0) == 1
+
+
+@pytest.mark.parametrize("window", [2, 3, 5])
+def test_encounters_without_trust_as_by_enumeration(window):
+    """Each step's evidence arrives after one step, after two, or never. With a window of 3, publications in the steps 3
+    and 7 count the steps 1 and 2, and 5 and 6. What is of the steps 3 and 4 has left the window before either.
+    """
+    rng = np.random.default_rng(window)
+    late_p, never_p = np.sort(rng.uniform(0.1, 0.9, (2, 7)), axis=0)[::-1]  # not there after one step; after any
+    gate, want = (3, 7), 0.0
+    for lags in itertools.product((1, 2, 99), repeat=7):
+        weight, knows = 1.0, [False, False]
+        for step, lag in enumerate(lags):
+            weight *= {1: 1 - late_p[step], 2: late_p[step] - never_p[step], 99: never_p[step]}[lag]
+            for k, publication in enumerate(gate):
+                knows[k] |= lag <= publication - step < window
+        missed = 0.0 if knows[0] else 0.5**3 if knows[1] else 1.0
+        want += weight * missed
+    log_none = np.log(np.stack([late_p, never_p]))[:, None]
+    evidence = law.EvidenceChances(np.pad(log_none, ((0, 0), (0, 0), (0, 4))))
+    met = meetings(4, 10, [4, 5, 6, 7, 8, 9], [0.5] * 6)
+    assert law.without_trust(evidence, met, law.PublishingSteps(4, [*gate]), window, 0.0) == pytest.approx(want)
 
 
 @pytest.mark.parametrize(("q", "period", "loss_p"), [(1.0, 5, 0.0), (0.6, 1, 0.0), (0.3, 7, 0.2)])
