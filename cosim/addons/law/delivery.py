@@ -1,12 +1,12 @@
 """Delivery of broadcast messages between equipped vehicles, from their positions and the parameters of the radio."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 from scipy.special import gammainc
 
@@ -20,7 +20,7 @@ from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES, cpm_bytes
 from cosim.messages.cpm_params import CpmParams
 from cosim.radio import link_budget
 from cosim.radio.medium import Medium
-from cosim.radio.message_round import Messages, Receptions, RoundKind, Stations
+from cosim.radio.message_round import MessageRound, Messages, RoundKind, Stations
 from cosim.radio.params import RadioParams
 from cosim.radio.phy import CURVES, MAC_OVERHEAD_BYTES, ReceiverParams
 from cosim.radio.propagation import fading_quantiles
@@ -51,9 +51,22 @@ _POWER_DB, _POWERS, _CROWDS, _LENGTHS = 4.0, 12, 12, 4
 _CLASSES = _POWERS * _CROWDS * _LENGTHS
 _SAMPLE_EVERY, _SAMPLE_STEPS = 10, 3
 """Of ten sensing steps, the channel is simulated in three: congestion control remembers earlier steps. All of the first
-three count, then every third."""
+three count, then every third. Where messages outlast their step, it is simulated until they end, once in 20 steps."""
 _IDLE_LINKS = 30.0
 """Weight of an idle channel in the estimate of `Load`, in links: a class with few links counts as idle."""
+
+
+class _SentMessages(NamedTuple):
+    """Messages of a step that counts, of which some may arrive later."""
+
+    station: UInt64[ndarray, "n"]
+    """Keys of the stations, ascending, and the row of each."""
+    row: Int[ndarray, "n"]
+    until: Int[ndarray, "n"]
+    """By row: sensing step in which the station uses what it has received."""
+    pair: Int[ndarray, "p"]
+    """Links as sender << 32 | receiver, ascending, and the class of each."""
+    of: Int[ndarray, "p"]
 
 
 @dataclass(slots=True)
@@ -65,13 +78,23 @@ class Load:
 
     medium: Medium
     state: Any
+    goes_on: int = 0
+    """In how many further sensing steps a message may arrive."""
+    sent: dict[tuple[RoundKind, int], _SentMessages] = field(default_factory=dict)
+    """Messages that count, by round and sensing step."""
     received: Float[ndarray, "2 c"] = field(default_factory=lambda: np.zeros((2, _CLASSES)))
     expected: Float[ndarray, "2 c"] = field(default_factory=lambda: np.zeros((2, _CLASSES)))
 
     def delivered_p(
-        self, kind: RoundKind, number: int, begin_s: float, links: LinkPairs, length_bytes: Float[ndarray, "e"]
+        self,
+        kind: RoundKind,
+        number: int,
+        begin_s: float,
+        links: LinkPairs,
+        length_bytes: Float[ndarray, "e"],
+        wait_steps: Int[ndarray, "e"] | None = None,
     ) -> Float[ndarray, "p"]:
-        """Probability that each link delivers a message of a round.
+        """Probability that each link delivers a message of a round before its receiver senses next.
 
         Parameters
         ----------
@@ -85,33 +108,65 @@ class Load:
             Links of the step.
         length_bytes
             Expected length of each vehicle's message; 0 for those that send none.
+        wait_steps
+            Sensing steps until each vehicle senses next, 0 for those that do now. None: all do.
         """
         p = links.delivered_p(length_bytes)
         length = np.where(length_bytes > 0, _whole(length_bytes), 0)
         n_frames, _ = segments(length)
         many = np.minimum(np.log2(n_frames), _LENGTHS - 1).astype(np.int64)
         of = links.crowd * _LENGTHS + many[links.sender]
-        if number % _SAMPLE_EVERY < _SAMPLE_STEPS:
+        every = _SAMPLE_EVERY * (2 if self.goes_on else 1)
+        if number % every < _SAMPLE_STEPS + self.goes_on:
             self.state, happened = self.medium.broadcast(
                 self.state, kind, number, begin_s, links.stations, Messages.one_each(length)
             )
-            if number < _SAMPLE_STEPS or number % _SAMPLE_EVERY == _SAMPLE_STEPS - 1:
-                self._count(kind, links, of, p, happened.receptions)
+            if number < _SAMPLE_STEPS or number % every == _SAMPLE_STEPS - 1:
+                self._count(kind, number, links, of, p, wait_steps)
+            for of_kind, sent_in, messages in _rounds(kind, number, happened):
+                self._receive(of_kind, sent_in, number, messages, links.stations)
         kept = (self.received[kind] + _IDLE_LINKS) / (self.expected[kind] + _IDLE_LINKS)
         return np.minimum(p * kept[of], 1.0)
 
     def _count(
-        self, kind: RoundKind, links: LinkPairs, of: Int[ndarray, "p"], p: Float[ndarray, "p"], got: Receptions
+        self,
+        kind: RoundKind,
+        number: int,
+        links: LinkPairs,
+        of: Int[ndarray, "p"],
+        p: Float[ndarray, "p"],
+        wait_steps: Int[ndarray, "e"] | None,
     ) -> None:
-        """Add the messages that were received, and that would be on an idle channel, by class `of` the link."""
-        n = np.int64(len(links.stations))
-        key = links.sender * n + links.receiver
-        order = np.argsort(key, kind="stable")
-        there = got.message * n + got.receiver  # one message per station: message and sender are the same row
-        at, is_link = rows_of(there, key[order])
-        link = order[at[is_link]]
-        self.received[kind] += np.bincount(of[link], minlength=_CLASSES)
+        """Add the messages that would be received on an idle channel, by class `of` the link."""
         self.expected[kind] += np.bincount(of, p, _CLASSES)
+        until = np.full(len(links.stations), number) + (0 if wait_steps is None else wait_steps)
+        pair = links.sender << 32 | links.receiver
+        order, row = np.argsort(pair, kind="stable"), np.argsort(links.stations.key)
+        for one in [one for one in self.sent if one[1] < number - self.goes_on]:
+            del self.sent[one]
+        self.sent[kind, number] = _SentMessages(links.stations.key[row], row, until, pair[order], of[order])
+
+    def _receive(self, kind: RoundKind, sent_in: int, number: int, happened: MessageRound, stations: Stations) -> None:
+        """Add the messages of a step that were received in one, if they count and their receivers can use them."""
+        sent = self.sent.get((kind, sent_in))
+        if sent is None:
+            return
+        got = happened.receptions
+        at_sender, sends = rows_of(stations.key[happened.station[got.message]], sent.station)
+        at_receiver, is_there = rows_of(stations.key[got.receiver], sent.station)
+        sender, receiver = sent.row[at_sender], sent.row[at_receiver]
+        used = np.flatnonzero(sends & is_there & (number <= sent.until[receiver]))
+        pair = sender[used] << 32 | receiver[used]
+        at, is_link = rows_of(pair, sent.pair)
+        self.received[kind] += np.bincount(sent.of[at[is_link]], minlength=_CLASSES)
+
+
+def _rounds(kind: RoundKind, number: int, happened: MessageRound) -> Iterator[tuple[RoundKind, int, MessageRound]]:
+    """What happened to the messages of a round, and to those of earlier ones: round, sensing step, and messages."""
+    yield kind, number, happened
+    for one in happened.earlier:
+        for step in np.unique(one.step).tolist():
+            yield one.kind, step, one.round.only(one.step == step)
 
 
 @dataclass(frozen=True, slots=True)

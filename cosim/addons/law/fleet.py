@@ -143,7 +143,7 @@ class Fleet:
             sensing=Sensing.of(config, detector, walls),
             delivery=Delivery.of(config, LosOfPlaces(walls)),
             servers=servers,
-            load=Load(parts.medium, parts.medium.start()),
+            load=Load(parts.medium, parts.medium.start(), _goes_on(config)),
             gates={s.period_s: law.PublishingSteps(law.period_steps(s.period_s, interval_s)) for s in servers},
             trackers=tuple(EncounterTracker(p, config.traffic.step_s) for p in config.encounters),
             arrived_p=np.append(arrived_p[: m - 1], arrived_p[-1]),
@@ -193,7 +193,9 @@ class Fleet:
         begin_s = step * self.schedule.exchange_interval_s
         length_bytes = np.zeros(n)
         length_bytes[mine] = expected_cpm_bytes(config.cpm, n_self + views.n_listed)
-        told_p = self.load.delivered_p(RoundKind.CPM, step, begin_s, links, length_bytes)
+        interval, phase = self.schedule.of_vehicles(world.name_key[row])
+        wait = (phase - world.step) % interval // self.schedule.exchange_every_steps
+        told_p = self.load.delivered_p(RoundKind.CPM, step, begin_s, links, length_bytes, wait)
         newest = self._received(world, row, links, told_p)
         self.cpms = self.cpms.then(newest, sender, actor)
         told = self.cpms.by(sender)
@@ -205,7 +207,7 @@ class Fleet:
         n_received = np.bincount(receiver, told.p * found.n_listed, n)[mine]
         length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
         begin_s += config.round_s
-        heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes)
+        heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes, wait)
         newest = self._received(world, row, links, heard_p)
         self.reports = self.reports.then(newest, sender, actor)
         self._evaluate(subjects, subject_step, s, told.receiver, evaluated_p)
@@ -419,6 +421,13 @@ class Fleet:
         began = latest[by, np.minimum(start, self.step - 1)]
         steps, log_missed = steps[order], log_missed[order]
         return law.Encounters(by, subject, start, end, first, stop, steps, log_missed, began, visits >= 0)
+
+
+def _goes_on(config: Config) -> int:
+    """In how many further exchanges the messages of one may arrive: those with evaluations last for two lifetimes."""
+    if config.round_s >= config.message_lifetime_s:
+        return 0
+    return int(np.ceil(2 * config.message_lifetime_s / config.schedule.exchange_interval_s - 1e-9)) - 1
 
 
 def _log_not(p: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

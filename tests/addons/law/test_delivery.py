@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from cosim.addons.law.delivery import arrival_p, expected_cpm_bytes, received_p
+from cosim.addons.law.delivery import LinkPairs, Load, arrival_p, expected_cpm_bytes, received_p
 from cosim.base import rng
 from cosim.messages.cellular import CellularParams, transfer_delay_s
 from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES
 from cosim.messages.cpm_params import CpmParams
 from cosim.messages.etsi import cpm_bytes
+from cosim.radio.message_round import EarlierMessages, MessageRound, Messages, RoundKind, Stations
 from cosim.radio.phy import CURVES, ReceiverParams
 from cosim.radio.propagation import fading_quantiles
 
@@ -51,3 +52,35 @@ def test_expected_lengths_are_those_of_the_encoder():
     encoded = NETWORK_BYTES + SIGNATURE_BYTES + cpm_bytes(np.zeros((3, 4), int), n_moving=moving)
     assert expected_cpm_bytes(CpmParams(length="uper"), n) == pytest.approx(encoded, abs=8)
     assert expected_cpm_bytes(CpmParams(length="linear"), n).tolist() == [215, 389, 1056]
+
+
+class OneStepLate:
+    """A medium on which every message from station 7 reaches station 9 in the step after its own."""
+
+    def broadcast(self, sent_in, kind, number, begin_s, stations, messages):
+        """What happened in one step; the state is the step before, in which the message was sent."""
+        happened = MessageRound.silent()
+        if sent_in is not None:
+            row = {key: [at] for at, key in enumerate(stations.key.tolist())}
+            one = Messages(np.array(row[7]), np.array([100]))
+            late = MessageRound.of(stations, one, np.array(row[9]), np.zeros(1, int))
+            earlier = EarlierMessages(kind, np.array([sent_in]), np.array([-1]), late)
+            happened = MessageRound(happened.station, happened.receptions, happened.frames, (earlier,))
+        return number, happened
+
+
+@pytest.mark.parametrize(("wait_steps", "n_received"), [(0, 0), (1, 1)])
+def test_a_message_that_arrives_in_a_later_step_counts_if_its_receiver_has_not_sensed_yet(wait_steps, n_received):
+    """In the second step the stations have other rows."""
+    load, kind = Load(OneStepLate(), None, 2), RoundKind.EVALUATION
+    for number, keys in enumerate(([7, 9], [9, 7])):
+        links, length_bytes = one_link(keys), np.array([100.0, 0.0]) * (number == 0)
+        load.delivered_p(kind, number, 0.1 * number, links, length_bytes, np.array([5, wait_steps]))
+    assert (load.expected[kind].sum(), load.received[kind].sum()) == (1, n_received)
+
+
+def one_link(keys):
+    """From station 7 to station 9, without losses."""
+    sender = np.array([keys.index(7)])
+    stations = Stations(np.array(keys, np.uint64), np.zeros((2, 3)), 2)
+    return LinkPairs(sender, 1 - sender, lambda length_bytes: length_bytes[sender] / 100, 0 * sender, stations)
