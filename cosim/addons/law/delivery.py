@@ -144,7 +144,8 @@ class Load:
         order, row = np.argsort(pair, kind="stable"), np.argsort(links.stations.key)
         for one in [one for one in self.sent if one[1] < number - self.goes_on]:
             del self.sent[one]
-        self.sent[kind, number] = _SentMessages(links.stations.key[row], row, until, pair[order], of[order])
+        keys = links.stations.key[row]
+        self.sent[kind, number] = _SentMessages(keys, row, until, pair[order], of[order])
 
     def _receive(self, kind: RoundKind, sent_in: int, number: int, happened: MessageRound, stations: Stations) -> None:
         """Add the messages of a step that were received in one, if they count and their receivers can use them."""

@@ -3,8 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from cosim.addons.law import law
 from cosim.addons.law.prediction import FleetFindings
@@ -15,19 +13,17 @@ distribution."""
 _CERTAIN = -50.0
 
 
-def drawn(found: FleetFindings, arrived_p: Float[ndarray, "m"], random: np.random.Generator) -> FleetFindings:
+def drawn(found: FleetFindings, random: np.random.Generator) -> FleetFindings:
     """The evaluations of one run: draws of each pair of evaluator and subject in each step, and of delays.
 
     Parameters
     ----------
     found
         Chances.
-    arrived_p
-        Probability that a report is at the server 1, 2, ... m steps after its sweep.
     random
         Source of the draws.
     """
-    pairs = found.pair_steps
+    pairs, arrived_p = found.pair_steps, found.arrived_p
     p = -np.expm1(pairs.log_none)
     made = np.flatnonzero(random.random(len(p)) < p)
     chosen = law.PairSteps(*(column[made] for column in pairs))
@@ -38,5 +34,6 @@ def drawn(found: FleetFindings, arrived_p: Float[ndarray, "m"], random: np.rando
     return replace(
         found,
         evidence=law.EvidenceChances(np.minimum.accumulate(log_none, axis=0)),
-        pair_steps=chosen._replace(log_none=np.full(len(made), _CERTAIN)),
+        pair_steps=chosen._replace(made=chosen.made + lag, log_none=np.full(len(made), _CERTAIN)),
+        arrived_p=np.ones(1),
     )

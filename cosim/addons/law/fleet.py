@@ -337,7 +337,7 @@ class Fleet:
         meetings = self._meetings(actors)
         inputs = self._inputs(company, float(asked.sum()))
         looks = {period_s: self._looks_of(rows, actors) for period_s, rows in self.looks.items()}
-        found = FleetFindings(evidence, since, pair_steps, pair_subject, meetings, self.first_lag, company)
+        found = FleetFindings(evidence, since, pair_steps, pair_subject, meetings, self.arrived_p, company)
         loss_p = self.config.server.cellular.downlink_loss_p
         servers = []
         for of in self.servers:
@@ -346,15 +346,10 @@ class Fleet:
         runs: list[list[Values]] = [[] for _ in servers]
         random = np.random.default_rng(self.config.seed)
         for _ in range(n_draws):
-            run = drawn(found, self.arrived_p, random)
+            run = drawn(found, random)
             for (of, gate, looked), p, rows in zip(servers, made, runs, strict=True):
                 rows.append(counted(of, run, gate, looked, p.age_s, loss_p)[1])
         return made, runs, inputs
-
-    @property
-    def first_lag(self) -> int:
-        """Steps from an evaluation's sweep after which most reports are at the server."""
-        return 1 + int(np.argmax(self.arrived_p >= 0.5 * self.arrived_p[-1]))
 
     def _inputs(self, company: Company, lookups: float) -> Values:
         got = self.inputs

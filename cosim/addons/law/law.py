@@ -225,7 +225,11 @@ class PairSteps(NamedTuple):
 
 
 def behind(
-    found: PairSteps, pair_subject: Int[ndarray, "k"], looks: ExpectedLookups, window_steps: int, first_lag: int
+    found: PairSteps,
+    pair_subject: Int[ndarray, "k"],
+    looks: ExpectedLookups,
+    window_steps: int,
+    arrived_p: Float[ndarray, "m"],
 ) -> float:
     """Expected evaluators behind values, summed over lookups, equation (7).
 
@@ -239,8 +243,9 @@ def behind(
         Expected lookups.
     window_steps
         As for `ages`.
-    first_lag
-        Steps from an evaluation on after which it is at the server.
+    arrived_p
+        Probability that an evaluation is at the server 1, 2, ... m steps after it was made. The last one holds for all
+        later steps too.
     """
     n_subjects = int(pair_subject.max(initial=-1)) + 1
     publications, which = np.unique(looks.publication, return_inverse=True)
@@ -249,24 +254,47 @@ def behind(
     n_cells = len(publications) * n_subjects
     weights = np.bincount(cell[known], looks.n[known], n_cells)
     weights = weights.reshape(len(publications), n_subjects)
+    made_p = -np.expm1(found.log_none) / arrived_p[-1]
+    by_lag = np.append(0.0, arrived_p)
+    late = found.made - found.step
+    n_lags = np.clip(window_steps - 1 - late, 0, len(arrived_p))  # after which it still counts
     log_none = np.zeros(len(pair_subject))
-    arrives, expires = found.made + first_lag, found.step + window_steps
-    in_time = np.flatnonzero(arrives < expires)
-    changes = []
-    for sign, when in ((1.0, arrives), (-1.0, expires)):
-        order = in_time[np.argsort(when[in_time], kind="stable")]
-        changes.append((sign, order, when[order]))
-    done = [0, 0]
+
+    def log_after(rows: Int[ndarray, "r"], lag: ndarray | int) -> Float[ndarray, "r"]:
+        """Logarithm of the probability that the evaluation is not at the server after so many steps."""
+        there_p = made_p[rows] * by_lag[lag]
+        return np.log1p(-np.minimum(there_p, 1 - 1e-12))
+
+    arrives, expires = _InOrder(found.made), _InOrder(found.step + window_steps)
     evaluators = 0.0
     for b, weight in zip(publications.tolist(), weights, strict=True):
-        for k, (sign, order, when) in enumerate(changes):
-            until = int(np.searchsorted(when, b, "right"))
-            rows = order[done[k] : until]
-            done[k] = until
-            np.add.at(log_none, found.pair[rows], sign * found.log_none[rows])
+        for lag in range(1, len(by_lag)):
+            rows = arrives.until(b - lag, lag)
+            rows = rows[n_lags[rows] >= lag]
+            more = log_after(rows, lag) - log_after(rows, lag - 1)
+            np.add.at(log_none, found.pair[rows], more)
+        rows = expires.until(b)
+        had = log_after(rows, n_lags[rows])
+        np.add.at(log_none, found.pair[rows], -had)
         each = np.bincount(pair_subject, -np.expm1(np.minimum(log_none, 0.0)), n_subjects)
         evaluators += float(weight @ each)
     return evaluators
+
+
+class _InOrder:
+    """Rows in the order of their steps, to be taken piece by piece."""
+
+    def __init__(self, step: Int[ndarray, "q"]) -> None:
+        self._order = np.argsort(step, kind="stable")
+        self._step = step[self._order]
+        self._taken: dict[int, int] = {}
+
+    def until(self, step: int, reader: int = 0) -> Int[ndarray, "r"]:
+        """The rows up to a step that this reader has not taken before."""
+        begin = self._taken.get(reader, 0)
+        end = int(np.searchsorted(self._step, step, "right"))
+        self._taken[reader] = end
+        return self._order[begin:end]
 
 
 class Encounters(NamedTuple):

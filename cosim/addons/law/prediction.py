@@ -99,8 +99,8 @@ class FleetFindings:
     pair_subject: Int[ndarray, "k"]
     """Subject of each pair of `pair_steps`."""
     meetings: law.Encounters
-    first_lag: int
-    """Steps from an evaluation on after which most reports are at the server."""
+    arrived_p: Float[ndarray, "m"]
+    """Probability that an evaluation is at the server 1, 2, ... m steps after it was made."""
     company: Company
     """Chances of evaluation in the words of the closed form."""
 
@@ -174,7 +174,7 @@ def counted(
         counts, total, evaluators = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0
     else:
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
-        evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.first_lag)
+        evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.arrived_p)
     is_fresh = age_s < server.window_s
     known = counts.newest.sum()
     fresh = counts.newest[is_fresh].sum()

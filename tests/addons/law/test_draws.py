@@ -24,10 +24,10 @@ def test_drawn_runs_have_the_chances_as_means():
         pairs,
         np.zeros(2, int),
         NOTHING,
-        1,
+        np.array([0.5, 1.0]),
         Company.constant(0.5),
     )
-    run = drawn(found, np.array([0.5, 1.0]), np.random.default_rng(3))
+    run = drawn(found, np.random.default_rng(3))
     share = 1 - np.exp(run.evidence.log_none).mean(axis=(1, 2))
     # After one step: the first evaluator's half. After two: all of it, and half of the second's. After three: all.
     assert share == pytest.approx([0.15, 1 - 0.7 * 0.75, 1 - 0.7 * 0.5], abs=0.03)
@@ -40,7 +40,7 @@ def test_no_lookup_is_stale_where_all_ages_are_below_the_window():
     pairs = law.PairSteps(*(np.zeros(0, np.int64),) * 4, np.zeros(0))
     chances = np.random.default_rng(4).random((1, 1, 60))
     evidence = law.EvidenceChances(-0.1 * chances)
-    found = FleetFindings(evidence, np.zeros(1, int), pairs, step[:0], NOTHING, 1, Company.constant(0.5))
+    found = FleetFindings(evidence, np.zeros(1, int), pairs, step[:0], NOTHING, np.ones(1), Company.constant(0.5))
     looks = law.ExpectedLookups(0 * step, step, step[:, None], chances[0, :, 1:].T, 0.0 * step)
     server, gate = Server("base", 1.0, 50.0, 50, False), law.PublishingSteps(1, step.tolist())
     _, metrics = counted(server, found, gate, looks, np.arange(61.0), 0.0)

@@ -73,7 +73,7 @@ def test_ages_and_evaluators_as_by_enumeration(seed):
     assert found.n_unknown == pytest.approx(none, abs=1e-12)
     pair, at = (x.ravel() for x in np.meshgrid(np.arange(n_pairs), np.arange(n_steps)))
     pairs = law.PairSteps(at, at, np.zeros(len(at), int), pair, log_none[pair, at])
-    got = law.behind(pairs, np.zeros(n_pairs, int), asked, window, 1)
+    got = law.behind(pairs, np.zeros(n_pairs, int), asked, window, np.ones(1))
     assert got == pytest.approx(evaluators)
     assert got / found.newest.sum() == pytest.approx(evaluators / known)
 
@@ -93,6 +93,14 @@ def test_evaluations_that_arrive_late_are_behind_later_publications():
     log_none[0, 0, 3], log_none[1, 0, 3] = np.log(0.5), -50.0
     found = law.ages(law.EvidenceChances(log_none), looks([0, 0], [4, 5], [4, 5], [1.0, 1.0]), 10, np.zeros(1, int))
     assert found.newest[:4] == pytest.approx([0, 0.5, 1, 0])
+
+
+@pytest.mark.parametrize(("window", "want"), [(10, 2 * (0.5 + 1)), (2, 2 * 0.5), (1, 0.0)])
+def test_evaluators_whose_reports_arrive_late_are_behind_later_publications(window, want):
+    """As above, of two evaluators. In a window of 2 steps, they are behind the publication of step 4 alone."""
+    pairs = law.PairSteps(*(np.array([k, k]) for k in (3, 3, 0)), np.arange(2), np.full(2, -50.0))
+    asked = looks([0, 0], [4, 5], [4, 5], [1.0, 1.0])
+    assert law.behind(pairs, np.zeros(2, int), asked, window, np.array([0.5, 1.0])) == pytest.approx(want)
 
 
 def meetings(start, end, steps, missed, away=(), began=0):
