@@ -109,7 +109,8 @@ def test_overlaps_by_hand():
 
 def test_littles_law_by_hand(tmp_path):
     """Two cars are 90 m apart in steps 2 to 5 of 20, else 110 m. Each has one contact in 20 s, for 4 s, and 0.2
-    neighbours: 0.05 x 4 / 0.2. A duration of 8 s that is wrong doubles it."""
+    neighbours: 0.05 x 4 / 0.2. A duration of 8 s that is wrong doubles it. Other definitions of the run change nothing:
+    one with a hysteresis, by which the two meet for 8 s, and one with pedestrians."""
     met = {"a": 0, "b": 1, "pairs": "all", "start_step": 2, "radius_m": 100.0}
     actors = [
         {"step": step, "actor": car, "x_m": car * (90.0 if 2 <= step < 6 else 110.0)}
@@ -119,6 +120,8 @@ def test_littles_law_by_hand(tmp_path):
     for n, folder in ((1, tmp_path / "right"), (2, tmp_path / "wrong")):
         folder.mkdir()
         run = make(
-            folder, 20, vehicles=[dict(car) for car in cars], actors=actors, encounters=[met | {"end_step": 2 + 4 * n}]
-        )
+            folder, 20, vehicles=[dict(car) for car in cars], actors=actors,
+            encounters=[met | {"end_step": 2 + 4 * n},
+                        *(met | {"end_step": 10} | more for more in ({"hysteresis_s": 3}, {"pedestrians": True}))],
+        )  # fmt: skip
         assert value("littles_law", run, radius_m=100.0) == pytest.approx(n)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from cosim.base.codes import PARKED
 from cosim.base.plane import ahead_of
 from results.measure import measure as run_metrics
+from results.metrics import encounters
 from results.run import Run
 
 MEASURES = ("relative_speed_law", "metric", "littles_law")
@@ -46,11 +47,18 @@ def metric(run: Run, *, names: Sequence[str], group: str, minus: Sequence[str] =
 def littles_law(run: Run, *, radius_m: float) -> list[float]:
     """Rate of contacts of a vehicle times their mean duration, over its mean number of neighbours.
 
-    By Little's law it is 1. Rate and duration come from the table `encounters`, neighbours from poses. Parked cars and
-    roadside units meet nobody.
+    By Little's law it is 1. Rate and duration come from the table `encounters`, neighbours from poses. Pedestrians do
+    not count, and parked cars and roadside units meet nobody. Of several hystereses, the least counts.
     """
-    group = f"all, {radius_m:g} m"
-    rate_per_h, mean_s = metric(run, names=["encounters.per_vehicle_h", "encounters.duration.km_mean_s"], group=group)
+    kinds = encounters.summary(run).assign(per_vehicle_h=encounters.rates(run).per_vehicle_h)
+    of_vehicles = (kinds.pairs == "all") & ~kinds.pedestrians.astype(bool)
+    kinds = kinds[of_vehicles & (kinds.radius_m == radius_m)].reindex(columns=["per_vehicle_h", "km_mean_s"])
+    if kinds.empty:
+        raise ValueError(
+            f"{run.path.name} has no encounters of all vehicles within {radius_m:g} m. Add a section [[encounters]] "
+            'with pairs = "all" and without pedestrians.'
+        )
+    rate_per_h, mean_s = kinds.iloc[0]
     query = """
         SELECT step, x_m, y_m FROM actors JOIN vehicles ON vehicle = actor
         WHERE vehicle_class NOT IN ('pedestrian', 'roadside_unit') AND NOT starts_with(sumo_id, $parked)
