@@ -1,6 +1,7 @@
 """Figures of contacts that stand beside published ones in `cosim compare`.
 
 Contacts are those of the run's definition with the largest radius, and of these that with the least hysteresis.
+Definitions that count pedestrians stand back behind those of vehicles alone.
 """
 
 from dataclasses import replace
@@ -65,4 +66,4 @@ def _definition(run: Run, has_los: bool) -> pd.Series:
         raise ValueError(
             f"{run.path.name} has no encounters {kind} line of sight. Add such a section to [[encounters]]."
         )
-    return found.sort_values(["radius_m", "hysteresis_s"], ascending=[False, True]).iloc[0]
+    return found.sort_values(["pedestrians", "radius_m", "hysteresis_s"], ascending=[True, False, True]).iloc[0]
