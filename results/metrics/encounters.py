@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from cosim.base.codes import PARKED
 from results.metrics import intervals
-from results.metrics.survival import kaplan_meier, median, median_band, restricted_mean
+from results.metrics.survival import kaplan_meier, median_estimate, restricted_mean
 from results.run import Run
 
 Departure = Literal["ends", "censors"]
@@ -224,10 +224,7 @@ def summary(run: Run, departure: Departure = "ends") -> pd.DataFrame:
                 **_mean(frame, ~frame.start_seen, "censored_left"),
                 **_mean(frame, ~frame.end_seen, "censored_right"),
                 "km_mean_s": restricted_mean(curve) if followed(frame).any() else np.nan,
-                **intervals.columns(
-                    intervals.ClusteredEstimate(median(curve), *median_band(curve), int(followed(frame).sum())),
-                    "km_median_s",
-                ),
+                **intervals.columns(median_estimate(curve, int(followed(frame).sum())), "km_median_s"),
                 "km_mean_s_note": _restriction(curve),
                 **_mean(frame, frame.gap_s.notna(), "again_share"),
                 "gap_median_s": float(again.median()) if len(again) else np.nan,

@@ -16,7 +16,7 @@ FEW = 10
 """Fewer units than this are too few for a figure: a result then says so."""
 _DRAWS = 1000
 _FEWEST = 3
-_FEWEST_DRAWN = 5
+FEWEST_DRAWN = 5
 """No sum of drawn units is beyond that of the smallest, or of the largest, alone. Both lie on one side of the truth for
 25 % of samples of three units, 13 % of four, and 6 % of five."""
 
@@ -79,7 +79,7 @@ def ratio(top: Float[ndarray, "u"], bottom: Float[ndarray, "u"], level: float = 
     if not n:
         return UNKNOWN
     value = float(top.sum() / bottom.sum())
-    if n < _FEWEST_DRAWN or np.ptp(top / bottom) == 0:
+    if n < FEWEST_DRAWN or np.ptp(top / bottom) == 0:
         return without_interval(value, n)
     drawn = _draws(n)
     ratios = (drawn @ top) / (drawn @ bottom)
@@ -275,7 +275,7 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
     up_to = share(np.bincount(at, values <= value), n_of_unit, level)
     lower = 0.5 + below.value - below.high
     upper = 0.5 + up_to.value - up_to.low
-    if n < _FEWEST_DRAWN or np.isnan(lower + upper):
+    if n < FEWEST_DRAWN or np.isnan(lower + upper):
         return without_interval(value, n)
     low, high = np.quantile(values, np.clip([lower, upper], 0.0, 1.0))
     return ClusteredEstimate(value, float(low), float(high), n)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from results.metrics import intervals, lookups, trust
-from results.metrics.survival import kaplan_meier, median, median_band
+from results.metrics.survival import kaplan_meier, median, median_estimate
 from results.metrics.trust import HONEST, watched
 from results.run import Run
 
@@ -416,7 +416,7 @@ def summary_of(delays: pd.DataFrame) -> pd.DataFrame:
             continue
         curve = kaplan_meier(delay_s[here], found[here], vehicle[here])
         share = intervals.of_units(found[here], vehicle[here])
-        median_s = intervals.ClusteredEstimate(median(curve), *median_band(curve), share.n_units)
+        median_s = median_estimate(curve, share.n_units)
         estimates = intervals.columns(share, "share") | intervals.columns(median_s, "median_s")
         rows.append({"role": role, "n": n} | estimates)
     return pd.DataFrame(rows)

@@ -7,7 +7,7 @@ import pandas as pd
 from numpy import ndarray
 from scipy.stats import CensoredData, ecdf, norm
 
-from results.metrics.intervals import LEVEL
+from results.metrics.intervals import FEWEST_DRAWN, LEVEL, ClusteredEstimate, without_interval
 
 
 def kaplan_meier(lasted_s: ndarray, over: ndarray, unit: ndarray | None = None) -> pd.DataFrame:
@@ -89,10 +89,21 @@ def median_band(curve: pd.DataFrame) -> tuple[float, float]:
     Returns
     -------
     First durations at which the lower and the upper end of the band are at one half or below. Both are NaN if the lower
-    end stays above one half; the upper is infinite if only the upper end does.
+    end stays above one half; the upper is infinite if only the upper end does. Where nothing is left, the band has no
+    width, because nothing is known of it, and does not count.
     """
+    curve = curve[curve.survival > 0]
     low = _falls_to_half(curve, "low", float("nan"))
     return low, float("nan") if np.isnan(low) else _falls_to_half(curve, "high", float("inf"))
+
+
+def median_estimate(curve: pd.DataFrame, n_units: int) -> ClusteredEstimate:
+    """Median duration with its interval, which fewer than five units do not have: the shortest of n durations is longer
+    than the median with probability 2^-n, and the longest is shorter as often."""
+    value = median(curve)
+    if n_units < FEWEST_DRAWN:
+        return without_interval(value, n_units)
+    return ClusteredEstimate(value, *median_band(curve), n_units)
 
 
 def _falls_to_half(curve: pd.DataFrame, column: str, never: float) -> float:

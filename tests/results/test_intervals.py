@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from results.metrics import intervals
-from results.metrics.survival import kaplan_meier, median_band
+from results.metrics.survival import kaplan_meier, median_band, median_estimate
 
 
 def test_share_of_all_units_is_not_certain():
@@ -123,9 +123,22 @@ def test_median_of_durations_has_the_band_of_the_curve():
     lasted_s, over = np.array([3.0, 5, 8, 13, 21, 34, 55, 89]), np.array([1, 1, 1, 0, 1, 1, 0, 1], bool)
     curve = kaplan_meier(lasted_s, over)
     low, high = median_band(curve)
-    assert (curve.low[curve.duration_s < low] > 0.5).all() and (curve.high[curve.duration_s < high] > 0.5).all()
-    assert low in lasted_s and low < 21 < high
-    assert np.isnan(median_band(pd.DataFrame({"duration_s": [0.0], "low": [1.0], "high": [1.0]}))[0])
+    assert (curve.low[curve.duration_s < low] > 0.5).all() and (curve.high[curve.survival > 0] > 0.5).all()
+    assert low in lasted_s and low < 21 and np.isinf(high)
+    empty = pd.DataFrame({"duration_s": [0.0], "survival": [1.0], "low": [1.0], "high": [1.0]})
+    assert np.isnan(median_band(empty)[0])
+
+
+def test_median_of_few_durations_is_covered_or_has_no_interval():
+    """Of one to six exponential durations, all seen to end, the interval reached to the longest: it held the truth in
+    0, 51, 73, 87, 93 and 97 %."""
+    random, hits = np.random.default_rng(2), dict.fromkeys((5, 6), 0)
+    for n in (1, 2, 3, 4, *hits):
+        for _ in range(200):
+            found = median_estimate(kaplan_meier(random.exponential(size=n), np.ones(n, bool)), n)
+            assert np.isnan(found.low) == np.isnan(found.high) == (n < 5)
+            hits[n] = hits.get(n, 0) + (found.low <= np.log(2) <= found.high)
+    assert hits[5] > 0.94 * 200 and hits[6] > 0.95 * 200
 
 
 def test_durations_that_repeat_each_other_narrow_no_band():
