@@ -90,7 +90,11 @@ def certainty(variance_m2: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
 
 
 def pairs_within(
-    boxes: Boxes, label: UInt8[ndarray, "n"], variance_m2: Float[ndarray, "n 3"], owner: Int[ndarray, "n"], gate: Gate
+    boxes: Boxes,
+    label: UInt8[ndarray, "n"],
+    variance_m2: Float[ndarray, "n 3"],
+    owner: Int[ndarray, "n"],
+    gate: Gate,
 ) -> Pairs:
     """All pairs i < j of different owners that may be of one object.
 
@@ -112,16 +116,33 @@ def pairs_within(
     overlap by more than `least_iou`, it is at least their IoU. Where one box is longer or wider, half the difference is
     not counted as distance: a truck of which a vehicle sees the rear as a car is where that car is.
     """
-    return _agreeing(boxes, label, variance_m2, owner, boxes, label, variance_m2, owner, gate, True)
+    detections = _Detections(boxes, label, variance_m2, owner)
+    return _agreeing(detections, detections, gate)
 
 
 def pairs_across(
-    a: Boxes, a_label: UInt8[ndarray, "n"], a_variance_m2: Float[ndarray, "n 3"], b: Boxes,
-    b_label: UInt8[ndarray, "m"], b_variance_m2: Float[ndarray, "m 3"], gate: Gate,
-) -> Pairs:  # fmt: skip
+    a: Boxes,
+    a_label: UInt8[ndarray, "n"],
+    a_variance_m2: Float[ndarray, "n 3"],
+    b: Boxes,
+    b_label: UInt8[ndarray, "m"],
+    b_variance_m2: Float[ndarray, "m 3"],
+    gate: Gate,
+) -> Pairs:
     """All pairs of a detection of `a` and one of `b` that may be of one object; as `pairs_within`."""
     nobody = np.zeros(0, np.int64)
-    return _agreeing(a, a_label, a_variance_m2, nobody, b, b_label, b_variance_m2, nobody, gate, False)
+    return _agreeing(
+        _Detections(a, a_label, a_variance_m2, nobody), _Detections(b, b_label, b_variance_m2, nobody), gate
+    )
+
+
+class _Detections(NamedTuple):
+    """Detections in one frame, as `pairs_within` takes them."""
+
+    boxes: Boxes
+    label: ndarray
+    variance_m2: ndarray
+    owner: ndarray  # empty where pairs of one owner count, too
 
 
 class _Places(NamedTuple):
@@ -135,7 +156,7 @@ class _Places(NamedTuple):
     variance: ndarray
     radius: ndarray  # circumradius
     label: ndarray
-    owner: ndarray  # empty where pairs of one owner count, too
+    owner: ndarray  # as in `_Detections`
     side: ndarray  # of the cells of each class
     cell: ndarray  # column and row of the cell of each
     row: ndarray  # of the detections, by bucket of their cells and classes
@@ -143,8 +164,9 @@ class _Places(NamedTuple):
     at: ndarray  # where in this order each detection is
 
     @staticmethod
-    def of(boxes: Boxes, label: ndarray, variance_m2: ndarray, owner: ndarray, side_m: ndarray) -> "_Places":
+    def of(detections: _Detections, side_m: ndarray) -> "_Places":
         """In cells of these sides, one for each class."""
+        boxes, label, variance_m2, owner = detections
         label = np.minimum(label, _N_CLASSES)
         n_buckets = 1 << max(len(boxes), 1).bit_length()
         cell = np.empty((len(boxes), 2), np.int64)
@@ -208,13 +230,10 @@ def _bucket(column, row, label, n_buckets):
     return (column * 73856093 ^ row * 19349663 ^ np.int64(label) * 83492791) & (n_buckets - 1)
 
 
-def _reach_m(
-    a: Boxes, a_label: ndarray, a_variance_m2: ndarray, b: Boxes, b_label: ndarray, b_variance_m2: ndarray, gate: Gate
-) -> Float[ndarray, "5 5"]:
+def _reach_m(a: _Detections, b: _Detections, gate: Gate) -> Float[ndarray, "5 5"]:
     """How far apart the centres of detections of two classes are compared; -1 for classes that do not go together."""
     reach_m = np.full((_N_CLASSES + 1, _N_CLASSES + 1), -1.0)
-    largest_of_a = _largest_of(a, a_label, a_variance_m2)
-    largest_of_b = _largest_of(b, b_label, b_variance_m2)
+    largest_of_a, largest_of_b = _largest_of(a), _largest_of(b)
     for group in _GROUPS:
         for of_a, of_b in product(group, group):
             one, other = largest_of_a[of_a], largest_of_b[of_b]
@@ -225,13 +244,14 @@ def _reach_m(
     return reach_m
 
 
-def _largest_of(boxes: Boxes, label: ndarray, variance_m2: ndarray) -> Float[ndarray, "4 6"]:
+def _largest_of(detections: _Detections) -> Float[ndarray, "4 6"]:
     """Largest circumradius, variance along any axis, length and width of each class, and smallest length and width.
 
     The smallest ones are negative. -inf: a class that is not there.
     """
     found = np.full((_N_CLASSES, 6), -np.inf)
-    _largest(boxes.circumradius_m, boxes.lwh_m, label, variance_m2, found)
+    boxes = detections.boxes
+    _largest(boxes.circumradius_m, boxes.lwh_m, detections.label, detections.variance_m2, found)
     return found
 
 
@@ -259,18 +279,15 @@ def _largest(radius, lwh, label, variance, found):
             found[kind, 5] = max(found[kind, 5], -width)
 
 
-def _agreeing(
-    a: Boxes, a_label: ndarray, a_variance_m2: ndarray, a_owner: ndarray, b: Boxes, b_label: ndarray,
-    b_variance_m2: ndarray, b_owner: ndarray, gate: Gate, is_same: bool,
-) -> Pairs:  # fmt: skip
-    """Pairs that pass the gate, and how well they agree. With `is_same`, both sets are one, and i < j."""
-    reach_m = _reach_m(a, a_label, a_variance_m2, b, b_label, b_variance_m2, gate)
+def _agreeing(a: _Detections, b: _Detections, gate: Gate) -> Pairs:
+    """Pairs that pass the gate, and how well they agree; i < j if `a` and `b` are the same object."""
+    reach_m = _reach_m(a, b, gate)
     most_m = reach_m.max(axis=0)
     least_m = np.where(reach_m > 0.0, reach_m, most_m).min(axis=0)
     side_m = np.maximum(np.maximum(least_m, most_m / _MOST_RINGS), 1.0) * (1.0 + 1e-9)
-    places = _Places.of(a, a_label, a_variance_m2, a_owner, side_m)
-    others = places if is_same else _Places.of(b, b_label, b_variance_m2, b_owner, side_m)
-    pairs = _candidates(places, others, is_same, reach_m, gate)
+    places = _Places.of(a, side_m)
+    others = places if a is b else _Places.of(b, side_m)
+    pairs = _candidates(places, others, reach_m, gate)
     agreement = np.exp(-0.5 * pairs["square"])
     agreement[agreement <= gate.miss_p] = 0.0
     agreement = np.maximum(agreement, pairs["iou"])
@@ -278,7 +295,7 @@ def _agreeing(
     return pairs["i"][kept], pairs["j"][kept], agreement[kept]
 
 
-def _candidates(a: _Places, b: _Places, is_same: bool, reach_m: Float[ndarray, "5 5"], gate: Gate) -> ndarray:
+def _candidates(a: _Places, b: _Places, reach_m: Float[ndarray, "5 5"], gate: Gate) -> ndarray:
     """Pairs that may pass the gate, sorted by i and j; those at its edge are not decided."""
     n_chunks = (len(a.row) + _CHUNK - 1) // _CHUNK
     room = _ROOM
@@ -286,7 +303,7 @@ def _candidates(a: _Places, b: _Places, is_same: bool, reach_m: Float[ndarray, "
     while True:
         found = np.empty((n_chunks, room), _FOUND)
         count = np.zeros(n_chunks, np.int64)
-        given = a, b, is_same, reach_m, most, gate.least_iou, found, count
+        given = a, b, a is b, reach_m, most, gate.least_iou, found, count
 
         def search(begin: int, end: int, given: Any = given) -> None:
             _search(begin, end, *given)

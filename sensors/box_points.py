@@ -131,9 +131,8 @@ def _count(steps, step_m, beams, cos_el, sin_el, a0, a1, r0, r1, box, bounds, sc
                 end = first + np.uint64(TILE)
                 for c in range(max(first, np.uint64(a0)), min(end, np.uint64(a1))):
                     i = c - np.uint64(a0)
-                    count, undecided = near_box(
-                        steps, c, row, cos_el, sin_el, middle[i], half[i], height, half_height, margin
-                    )
+                    limits = middle[i], half[i], height, half_height, margin
+                    count, undecided = near_box(steps, c, row, cos_el, sin_el, limits)
                     total += count
                     for k in range(LANES if undecided else 0):
                         if undecided >> k & 1:

@@ -79,7 +79,11 @@ class Boxes(Rows):
         return made
 
 
-def extrapolated(boxes: Boxes, velocity_mps: Float[ndarray, "n 2"], dt_s: float | Float[ndarray, "n"]) -> Boxes:
+def extrapolated(
+    boxes: Boxes,
+    velocity_mps: Float[ndarray, "n 2"],
+    dt_s: float | Float[ndarray, "n"],
+) -> Boxes:
     """The boxes moved by velocity times time, without a turn.
 
     Parameters
@@ -183,7 +187,12 @@ def overlapping_pairs(
     return _overlapping(boxes, i[rows], boxes, j[rows])
 
 
-def _overlapping(a: Boxes, i: Int[ndarray, "m"], b: Boxes, j: Int[ndarray, "m"]) -> tuple[ndarray, ndarray, ndarray]:
+def _overlapping(
+    a: Boxes,
+    i: Int[ndarray, "m"],
+    b: Boxes,
+    j: Int[ndarray, "m"],
+) -> tuple[ndarray, ndarray, ndarray]:
     """The pairs of rows of `a` and `b` (int32) whose boxes overlap, and their IoU."""
     iou = iou_3d(a.take(i), b.take(j))
     overlap = np.flatnonzero(iou > 0.0)

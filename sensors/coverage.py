@@ -23,9 +23,10 @@ SAME_M = 4.0
 ETSI TS 103 324. Of an object longer than twice this, half its length counts."""
 
 _SHAPE = np.zeros(len(ObjectClass), np.uint8)
-_SHAPE[[ObjectClass.CAR, ObjectClass.PEDESTRIAN, ObjectClass.CYCLIST, ObjectClass.TRUCK]] = [
-    Shape.CAR, Shape.PEDESTRIAN, Shape.BICYCLE, Shape.TRUCK,
-]  # fmt: skip
+_SHAPE[ObjectClass.CAR] = Shape.CAR
+_SHAPE[ObjectClass.PEDESTRIAN] = Shape.PEDESTRIAN
+_SHAPE[ObjectClass.CYCLIST] = Shape.BICYCLE
+_SHAPE[ObjectClass.TRUCK] = Shape.TRUCK
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +69,8 @@ class Coverage:
         """
         poses = mount(boxes, carrier, self.lidar)
         solid = prisms(_SHAPE[label], boxes)
-        found = expected_returns(
-            poses.origin_m, poses.yaw_rad, carrier, self.beams, bodies, boxes, solid, self.walls, self.lidar.max_range_m
-        )
+        range_m = self.lidar.max_range_m
+        found = expected_returns(poses, carrier, self.beams, bodies, boxes, solid, self.walls, range_m)
         n_returns = np.floor(found.n).astype(np.int64)
         question = owner_of_rows(np.diff(bodies.ptr))
         apart_m = boxes.xyz_m[bodies.row] - poses.origin_m[question]

@@ -58,7 +58,10 @@ class KnowsRecall(Protocol):
     """A detector that knows its own recall. `trust.denials = "recall"` needs it."""
 
     def recall(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """Probability, in [0, 1], that one sweep yields a report of an object with its true class.
 
@@ -77,7 +80,10 @@ class KnowsAccuracy(Protocol):
     """A detector that knows how accurate its boxes are. Vehicles state it in their messages."""
 
     def position_sigma_m(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """Standard deviation of the position of a detection along each axis [m]; arguments as `KnowsRecall.recall`."""
 

@@ -90,9 +90,17 @@ def in_evaluation_area(
     pairs = sweeps.poses.pairs(o, boxes, b)
     reach_m = params.range_m + params.slack_m
     return evidence_kernels.in_area(
-        pairs, exempt, near.xyz_m, near.lwh_m, reach_m,
-        params.height_m, fov_rad, edge_slope(fov_rad), params.slack_m, params.own_radius_m,
-    )  # fmt: skip
+        pairs,
+        exempt,
+        near.xyz_m,
+        near.lwh_m,
+        reach_m,
+        params.height_m,
+        fov_rad,
+        edge_slope(fov_rad),
+        params.slack_m,
+        params.own_radius_m,
+    )
 
 
 def edge_slope(fov_rad: float) -> float:
@@ -188,9 +196,12 @@ class Observability(Rows):
 
 
 def observability(
-    sweeps: Sweeps, boxes: Boxes, shape: UInt8[ndarray, "n"], near: Neighbours | None = None,
+    sweeps: Sweeps,
+    boxes: Boxes,
+    shape: UInt8[ndarray, "n"],
+    near: Neighbours | None = None,
     bodies: Prisms | None = None,
-) -> Observability:  # fmt: skip
+) -> Observability:
     """Every (observer, actor) with at least one ray that would meet the actor if nothing stood in front.
 
     Parameters
@@ -210,18 +221,29 @@ def observability(
     -----
     In the unoccluded count the road hides nothing. Dropouts of the sweep count as occlusion.
     """
-    ptr, row = neighbours(sweeps.poses.origin_m, boxes, sweeps.max_range_m) if near is None else near
+    poses = sweeps.poses
+    ptr, row = neighbours(poses.origin_m, boxes, sweeps.max_range_m) if near is None else near
     assert len(ptr) == len(sweeps.observers) + 1, "neighbours of other sweeps"
     bodies = prisms(shape, boxes, sweeps.speed_mps) if bodies is None else bodies
     n_returns, n_unoccluded = range_image.unoccluded_returns(
-        sweeps.hit, sweeps.poses.origin_m, sweeps.poses.yaw_rad, sweeps.beams, float(sweeps.max_range_m),
-        boxes.xyz_m, boxes.circumradius_m, boxes.lwh_m[:, 2], ptr, row, sweeps.observers, bodies,
-    )  # fmt: skip
+        sweeps.hit,
+        poses.origin_m,
+        poses.yaw_rad,
+        sweeps.beams,
+        float(sweeps.max_range_m),
+        boxes.xyz_m,
+        boxes.circumradius_m,
+        boxes.lwh_m[:, 2],
+        ptr,
+        row,
+        sweeps.observers,
+        bodies,
+    )
     n_unoccluded = np.maximum(n_unoccluded, n_returns)  # bodies from meshes may reach beyond their prisms
     keep = n_unoccluded > 0
     sweep = np.arange(len(sweeps.observers), dtype=np.int32)
     o = np.repeat(sweep, np.diff(ptr))[keep]
     actor = row[keep].astype(np.int32)
-    apart = boxes.xyz_m.take(actor, axis=0) - sweeps.poses.origin_m.take(o, axis=0)
+    apart = boxes.xyz_m.take(actor, axis=0) - poses.origin_m.take(o, axis=0)
     range_m = np.sqrt((apart * apart).sum(axis=1))
     return Observability(o, actor, n_returns[keep], n_unoccluded[keep], range_m)

@@ -15,7 +15,7 @@ from numpy import ndarray
 from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
-from sensors.lidar import Beams
+from sensors.lidar import Beams, Poses
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import Neighbours
 from sensors.scene import Prisms
@@ -46,15 +46,21 @@ class ExpectedReturns(NamedTuple):
 
 
 def expected_returns(
-    origin_m: Float[ndarray, "m 3"], yaw_rad: Float[ndarray, "m"], own: Int[ndarray, "m"], beams: Beams,
-    near: Neighbours, boxes: Boxes, bodies: Prisms, walls: WallIndex, range_m: float,
-) -> ExpectedReturns:  # fmt: skip
+    poses: Poses,
+    own: Int[ndarray, "m"],
+    beams: Beams,
+    near: Neighbours,
+    boxes: Boxes,
+    bodies: Prisms,
+    walls: WallIndex,
+    range_m: float,
+) -> ExpectedReturns:
     """Expected returns of every sensor from every body near it.
 
     Parameters
     ----------
-    origin_m, yaw_rad
-        Poses of the sensors, world frame.
+    poses
+        Of the sensors.
     own
         Row of the body that carries each sensor; it neither blocks nor is seen.
     beams
@@ -83,14 +89,27 @@ def expected_returns(
     """
     line = np.empty((len(near.row), N_LINES, 2))  # of each pair and line: expected returns, unoccluded
     ends = np.empty((len(near.row), N_LINES, 3))
+    columns_per_rad = len(beams.azimuth_rad) / beams.fov_rad
     _lines(
-        origin_m, yaw_rad, own, near.ptr, near.row, boxes.xyz_m, boxes.circumradius_m, bodies, beams.tan_el,
-        beams.fov_rad, len(beams.azimuth_rad) / beams.fov_rad, range_m, line, ends,
-    )  # fmt: skip
+        poses.origin_m,
+        poses.yaw_rad,
+        own,
+        near.ptr,
+        near.row,
+        boxes.xyz_m,
+        boxes.circumradius_m,
+        bodies,
+        beams.tan_el,
+        beams.fov_rad,
+        columns_per_rad,
+        range_m,
+        line,
+        ends,
+    )
     o = owner_of_rows(np.diff(near.ptr))
     pair, number = np.nonzero(line[:, :, 0] > 0)
-    points = np.concatenate([origin_m, ends[pair, number]])
-    end = len(origin_m) + np.arange(len(pair))
+    points = np.concatenate([poses.origin_m, ends[pair, number]])
+    end = len(poses.origin_m) + np.arange(len(pair))
     hidden = ~walls.has_los(points, o[pair], end)
     line[pair[hidden], number[hidden], 0] = 0.0
     n = line[:, :, 0].sum(axis=1)
@@ -132,8 +151,10 @@ def _width(bodies, j, x, y, middle):
             for b in (-1.0, 1.0):
                 along = a * bodies.half_l_m[k]
                 across = b * bodies.half_w_m[k]
-                dx = bodies.x_m[k] + bodies.cos[k] * along - bodies.sin[k] * across - x
-                dy = bodies.y_m[k] + bodies.sin[k] * along + bodies.cos[k] * across - y
+                east = bodies.cos[k] * along - bodies.sin[k] * across
+                north = bodies.sin[k] * along + bodies.cos[k] * across
+                dx = bodies.x_m[k] + east - x
+                dy = bodies.y_m[k] + north - y
                 turn = _wrapped(np.arctan2(dy, dx) - middle)
                 low, high = min(low, turn), max(high, turn)
     return low, high
@@ -185,9 +206,7 @@ def _hidden_by(bodies, b, x, y, z, cos, sin, first):
 
 
 @compiled
-def _lines(
-    origin, yaw, own, ptr, row, xyz, radius, bodies, slopes, fov_rad, columns_per_rad, range_m, line, ends
-):  # fmt: skip
+def _lines(origin, yaw, own, ptr, row, xyz, radius, bodies, slopes, fov_rad, columns_per_rad, range_m, line, ends):
     """Write the expected returns of each line, and where it meets the body."""
     n_lines = line.shape[1]
     for o in range(len(origin)):

@@ -34,15 +34,20 @@ _instructions: Any = intrinsic
 
 @_instructions
 def near_box(
-    typing: Any, steps: Any, column: Any, row: Any, cos_el: Any, sin_el: Any, middle: Any, half: Any, height: Any,
-    half_h: Any, error: Any,
-) -> Any:  # fmt: skip
+    typing: Any,
+    steps: Any,
+    column: Any,
+    row: Any,
+    cos_el: Any,
+    sin_el: Any,
+    limits: Any,
+) -> Any:
     """How many of the rays in rows `row` to `row + LANES` of a column end in a box for certain, and which others may.
 
-    `cos_el` and `sin_el` are lengths per step. A ray ends in the box if its horizontal length is within `half` of
-    `middle` and its height within `half_h` of `height`, all float32. It is counted if this is true by a margin of
-    `error`. The second result has one bit per ray, the first ray in the lowest. The bit is set for a ray that is not
-    counted, but lies within the limits widened by `error`.
+    `cos_el` and `sin_el` are lengths per step. `limits` are `middle`, `half`, `height`, `half_h` and `error`, all
+    float32. A ray ends in the box if its horizontal length is within `half` of `middle` and its height within `half_h`
+    of `height`. It is counted if this is true by a margin of `error`. The second result has one bit per ray, the first
+    ray in the lowest. The bit is set for a ray that is not counted, but lies within the limits widened by `error`.
     """
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -59,7 +64,8 @@ def near_box(
             return builder.shuffle_vector(one, nothing, of_first)
 
         column, row = given[1], given[2]
-        middle, half, height, half_h, error = (spread(value) for value in given[5:])
+        each = cgutils.unpack_tuple(builder, given[5])
+        middle, half, height, half_h, error = (spread(value) for value in each)
         size = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.fabs.v{LANES}f32"
         )
@@ -79,7 +85,7 @@ def near_box(
         return context.make_tuple(builder, signature.return_type, (count, undecided))
 
     result = types.UniTuple(types.int64, 2)
-    return result(steps, column, row, cos_el, sin_el, middle, half, height, half_h, error), generate
+    return result(steps, column, row, cos_el, sin_el, limits), generate
 
 
 @_instructions

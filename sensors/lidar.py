@@ -41,6 +41,17 @@ def _even(low: float, high: float, n: int) -> tuple[float, ...]:
 _HDL64E_LOWER = _even(-8.83 - 31 * 0.5, -8.83, 32)
 _HDL64E_UPPER = _even(2.0 - 31 / 3, 2.0, 32)
 _HDL64E = _HDL64E_LOWER + _HDL64E_UPPER
+_VLP32C = (
+    *(-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667),
+    *(-4.0, -3.667, -3.333, -3.0, -2.667, -2.333, -2.0, -1.667),
+    *(-1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0),
+    *(1.333, 1.667, 2.333, 3.333, 4.667, 7.0, 10.333, 15.0),
+)
+_PANDAR64 = (
+    *(-25.0, -19.0, *_even(-14.0, -7.0, 8)),
+    *_even(-6.0, 2.0, 49),
+    *(3.0, 5.0, 8.0, 11.0, 15.0),
+)
 
 PROFILES: dict[str, Profile] = {
     "hdl64e_front": Profile(
@@ -52,12 +63,7 @@ PROFILES: dict[str, Profile] = {
     "vlp16": Profile(
         _even(-15.0, 15.0, 16), 1800, 360.0, "Velodyne VLP-16 manual 63-9243: 2 degrees apart; 0.2 at 10 Hz"
     ),
-    "vlp32c": Profile(
-        (-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667, -2.333,
-         -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333, 3.333, 4.667, 7.0,
-         10.333, 15.0),
-        1800, 360.0, "Velodyne VLP-32C manual 63-9325, channel table; 0.2 degrees at 10 Hz",
-    ),
+    "vlp32c": Profile(_VLP32C, 1800, 360.0, "Velodyne VLP-32C manual 63-9325, channel table; 0.2 degrees at 10 Hz"),
     "os1_64": Profile(
         _even(-16.6, 16.6, 64), 1024, 360.0, "Ouster OS1 data sheet (first generation), 64 channels: 33.2 degrees"
     ),
@@ -65,10 +71,12 @@ PROFILES: dict[str, Profile] = {
         _even(-22.5, 22.5, 128), 1024, 360.0, "Ouster OS1 data sheet (first generation), 128 channels: 45 degrees"
     ),
     "pandar64": Profile(
-        (-25.0, -19.0, *_even(-14.0, -7.0, 8), *_even(-6.0, 2.0, 49), 3.0, 5.0, 8.0, 11.0, 15.0),
-        1800, 360.0, "Hesai Pandar64 manual: 1/6 degree from -6 to +2, coarser outside; 0.2 degrees at 10 Hz",
+        _PANDAR64,
+        1800,
+        360.0,
+        "Hesai Pandar64 manual: 1/6 degree from -6 to +2, coarser outside; 0.2 degrees at 10 Hz",
     ),
-}  # fmt: skip
+}
 
 
 _MOST_RAYS = 2_000_000
@@ -276,7 +284,11 @@ class RangeImages:
         """
         return replace(self, poses=self.poses.displaced(error))
 
-    def seen_after_s(self, o: Int[ndarray, "k"], xyz_m: Float[ndarray, "k 3"]) -> Float[ndarray, "k"]:
+    def seen_after_s(
+        self,
+        o: Int[ndarray, "k"],
+        xyz_m: Float[ndarray, "k 3"],
+    ) -> Float[ndarray, "k"]:
         """When sensors look at places, as the function `seen_after_s`."""
         return seen_after_s(self.poses, self.beams.s_per_rad, o, xyz_m)
 
@@ -302,7 +314,12 @@ class RangeImages:
         """The returns of observer o in single precision, as in files of point clouds."""
         return self.xyz(o).astype(np.float32)
 
-    def points(self, o: Int[ndarray, "k"], column: Int[ndarray, "k"], row: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
+    def points(
+        self,
+        o: Int[ndarray, "k"],
+        column: Int[ndarray, "k"],
+        row: Int[ndarray, "k"],
+    ) -> Float[ndarray, "k 3"]:
         """End points of single rays, which must have a return.
 
         Parameters
@@ -334,7 +351,12 @@ class Sweeps(RangeImages):
     speed_mps: Float[ndarray, "n"]
     """Ground truth: speed of each actor along its heading."""
 
-    def moved_m(self, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"]) -> Float[ndarray, "k 3"]:
+    def moved_m(
+        self,
+        o: Int[ndarray, "k"],
+        boxes: Boxes,
+        a: Int[ndarray, "k"],
+    ) -> Float[ndarray, "k 3"]:
         """How far actors had moved when the sensor looked at them, as the function `moved_m`."""
         return moved_m(self.poses, self.beams.s_per_rad, o, boxes, a, self.speed_mps)
 
@@ -366,9 +388,13 @@ def seen_after_s(
 
 
 def moved_m(
-    poses: Poses, s_per_rad: float, o: Int[ndarray, "k"], boxes: Boxes, a: Int[ndarray, "k"],
+    poses: Poses,
+    s_per_rad: float,
+    o: Int[ndarray, "k"],
+    boxes: Boxes,
+    a: Int[ndarray, "k"],
     speed_mps: Float[ndarray, "n"],
-) -> Float[ndarray, "k 3"]:  # fmt: skip
+) -> Float[ndarray, "k 3"]:
     """How far actors had moved when a sensor looked at them, from their position at the time of the sweep.
 
     Parameters
@@ -423,7 +449,6 @@ def scan(
     keys: UInt64[ndarray, "m"],
     out: Sweeps | SweepMemory = NO_MEMORY,
     unrounded: bool = False,
-    speed_mps: Float[ndarray, "n"] | None = None,
 ) -> Sweeps:
     """One sweep of every observer.
 
@@ -441,12 +466,9 @@ def scan(
         The LiDAR that all observers carry.
     out
         What may be used of earlier work, or an earlier result. The arrays of an earlier result are overwritten if they
-        are large enough, which saves allocation and page faults.
+        are large enough, which saves allocation and page faults. `rotation_hz` needs bodies with speeds.
     unrounded
         Keep the ranges before rounding too, to compare ray casters.
-    speed_mps
-        Speed of every actor along its heading; `rotation_hz` needs it. The bodies in `out` have speeds of their own.
-
     Returns
     -------
     Range images of all observers, and the object that each ray met.
@@ -455,7 +477,7 @@ def scan(
     ------
     ValueError
         If there is not one key per observer, if an observer is not a row of `boxes`, or if `rotation_hz` is set and
-        there are no speeds; or as `beams` and `prisms`.
+        there are no bodies; or as `beams` and `prisms`.
 
     Notes
     -----
@@ -484,12 +506,12 @@ def scan(
     ground_m = height_of_road_m(boxes, observers)
     size = (len(observers), len(grid.azimuth_rad), len(grid.elevation_rad))
     memory = out if isinstance(out, SweepMemory) else SweepMemory(out.range_steps, out.hit)
-    if grid.s_per_rad and speed_mps is None and memory.bodies is None:
+    if grid.s_per_rad and memory.bodies is None:
         raise ValueError(
             f"lidar.rotation_hz = {params.rotation_hz:g}: a sweep that takes time needs the speed of every actor. Give "
-            "speed_mps."
+            "out = SweepMemory(bodies=prisms(shape, boxes, speed_mps))."
         )
-    bodies = prisms(shape, boxes, speed_mps) if memory.bodies is None else memory.bodies
+    bodies = prisms(shape, boxes) if memory.bodies is None else memory.bodies
     range_steps = buffer(size, np.uint16, memory.range_steps)
     hit = buffer(size, hit_type(len(boxes)), memory.hit)
     sweeps = Sweeps(
@@ -576,7 +598,9 @@ def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarr
     n, of_each = size[0], size[1:]
     if old is not None and old.dtype == kind and old.shape == size:
         return old
-    whole = old if old is None or old.base is None else old.base
-    if whole is None or whole.dtype != kind or whole.shape[1:] != of_each or len(whole) < n:
-        whole = np.empty((n + n // 8, *of_each), kind)
-    return whole[:n]
+    if old is not None:
+        whole = old if old.base is None else old.base
+        fits = whole.dtype == kind and whole.shape[1:] == of_each
+        if fits and len(whole) >= n:
+            return whole[:n]
+    return np.empty((n + n // 8, *of_each), kind)[:n]

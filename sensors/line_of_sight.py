@@ -106,7 +106,10 @@ class WallIndex:
         return (xyz_m[:, :2] - self.grid.low) * (1.0 / self.grid.cell_m)
 
     def crosses_filled(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+        self,
+        xyz_m: Float[ndarray, "n 3"],
+        a: Int[ndarray, "m"],
+        b: Int[ndarray, "m"],
     ) -> Bool[ndarray, "m"]:
         """Which lines are blocked for certain, because one of a few sample points lies in a cell that a building fills.
 
@@ -179,7 +182,10 @@ class WallIndex:
         return out
 
     def walls_crossed(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+        self,
+        xyz_m: Float[ndarray, "n 3"],
+        a: Int[ndarray, "m"],
+        b: Int[ndarray, "m"],
     ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
         """Number of walls that each line crosses, and its length inside buildings [m].
 
@@ -264,7 +270,12 @@ def _level(walls: Walls, z_m: ndarray) -> ndarray:
     return (z_m - zero_m) * 254 / max(highest_m - zero_m, 1.0)
 
 
-def _buildings_by_square(low: ndarray, side_m: float, shape: tuple[int, int], walls: Walls) -> tuple[ndarray, ndarray]:
+def _buildings_by_square(
+    low: ndarray,
+    side_m: float,
+    shape: tuple[int, int],
+    walls: Walls,
+) -> tuple[ndarray, ndarray]:
     """Buildings by the squares that their bounding box touches, compressed rows; ascending in each."""
     nx, ny = shape
     building = np.flatnonzero(np.diff(walls.ptr))
@@ -331,7 +342,10 @@ class LosOfPlaces:
         return self.index.has_los(places_m, a, b, blocked, _place(cell))
 
     def walls_crossed(
-        self, xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"]
+        self,
+        xyz_m: Float[ndarray, "n 3"],
+        a: Int[ndarray, "m"],
+        b: Int[ndarray, "m"],
     ) -> tuple[Int[ndarray, "m"], Float[ndarray, "m"]]:
         """`WallIndex.walls_crossed` between the places of the end points."""
         return self.index.walls_crossed(self.snap(xyz_m), a, b)

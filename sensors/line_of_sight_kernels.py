@@ -82,7 +82,13 @@ def _list_segments(low, cell_m, shape, first, second, fill, ptr, out):
                     ptr[cell] += 1
 
 
-def by_cell(low: ndarray, cell_m: float, shape: tuple[int, int], a: ndarray, b: ndarray) -> tuple[ndarray, ndarray]:
+def by_cell(
+    low: ndarray,
+    cell_m: float,
+    shape: tuple[int, int],
+    a: ndarray,
+    b: ndarray,
+) -> tuple[ndarray, ndarray]:
     """List the segments under every cell that they touch.
 
     Parameters

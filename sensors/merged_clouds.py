@@ -106,9 +106,13 @@ class EarlyReports:
 
 
 def detect(
-    detector: StatisticalDetector, views: Views, boxes: Boxes, label: UInt8[ndarray, "n"],
-    origin_m: Float[ndarray, "m 3"], draws: DetectorDraws,
-) -> EarlyReports:  # fmt: skip
+    detector: StatisticalDetector,
+    views: Views,
+    boxes: Boxes,
+    label: UInt8[ndarray, "n"],
+    origin_m: Float[ndarray, "m 3"],
+    draws: DetectorDraws,
+) -> EarlyReports:
     """Ask the detector about merged clouds.
 
     Parameters

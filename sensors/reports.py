@@ -111,7 +111,10 @@ class Reports(Rows):
 
     @staticmethod
     def of_false_positives(
-        observer: Int[ndarray, "r"], label: UInt8[ndarray, "r"], boxes: Boxes, score: Float[ndarray, "r"]
+        observer: Int[ndarray, "r"],
+        label: UInt8[ndarray, "r"],
+        boxes: Boxes,
+        score: Float[ndarray, "r"],
     ) -> Reports:
         """Reports that belong to no actor.
 

@@ -109,7 +109,11 @@ class Prisms(NamedTuple):
     """float64 [n]: speed of each actor along its heading, by which it moves while a sensor turns."""
 
 
-def prisms(shape: UInt8[ndarray, "n"], boxes: Boxes, speed_mps: Float[ndarray, "n"] | None = None) -> Prisms:
+def prisms(
+    shape: UInt8[ndarray, "n"],
+    boxes: Boxes,
+    speed_mps: Float[ndarray, "n"] | None = None,
+) -> Prisms:
     """The solid body of each actor inside its box.
 
     Parameters

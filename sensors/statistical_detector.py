@@ -205,7 +205,10 @@ class StatisticalDetector:
         return reports_of_actors(detected, boxes, label, origin_m, z, self.model)
 
     def recall(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsRecall`.
 
@@ -221,7 +224,10 @@ class StatisticalDetector:
         return found * (1.0 - confused.sum(axis=1)[label])
 
     def position_sigma_m(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsAccuracy`."""
         sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
@@ -300,13 +306,19 @@ class IdealDetector:
         return found.moved(sweeps.moved_m(found.observer, boxes, actor))
 
     def recall(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsRecall`: 1 with a return, 0 without."""
         return (n_points > 0).astype(float)
 
     def position_sigma_m(
-        self, n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], range_m: Float[ndarray, "n"]
+        self,
+        n_points: Int[ndarray, "n"],
+        label: UInt8[ndarray, "n"],
+        range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
         """See `sensors.detector.KnowsAccuracy`: detections are exact."""
         return np.zeros(len(n_points))
@@ -362,7 +374,11 @@ def pair_normals(
     return _mixed(model.memory_share, lasting, fresh)
 
 
-def _mixed(share: float, one: Float[ndarray, "s n"], other: Float[ndarray, "s n"]) -> Float[ndarray, "s n"]:
+def _mixed(
+    share: float,
+    one: Float[ndarray, "s n"],
+    other: Float[ndarray, "s n"],
+) -> Float[ndarray, "s n"]:
     """Standard normal draws of which `one` makes this share of the variance and `other` the rest."""
     return np.sqrt(1.0 - share) * other + np.sqrt(share) * one
 

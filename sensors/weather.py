@@ -183,9 +183,13 @@ def rain_of(rain_mm_h: float, clear_range_m: float) -> Rain:
 
 
 def weaken(
-    sweeps: Sweeps, params: WeatherParams, keys: UInt64[ndarray, "m"], names: UInt64[ndarray, "n"],
-    reflectivity_key: np.uint64, dirt_key: np.uint64,
-) -> None:  # fmt: skip
+    sweeps: Sweeps,
+    params: WeatherParams,
+    keys: UInt64[ndarray, "m"],
+    names: UInt64[ndarray, "n"],
+    reflectivity_key: np.uint64,
+    dirt_key: np.uint64,
+) -> None:
     """Take from sweeps, in place, what weather, sun and dirt take, and add false returns of rain.
 
     Parameters

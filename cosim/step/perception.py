@@ -312,7 +312,9 @@ def swept(
 ) -> lidar.Sweeps:
     """Sweeps of the vehicles in these rows of the world, in this weather."""
     keys = sweep_keys(seed, world, observers)
-    sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory, speed_mps=world.speed_mps)
+    if memory.bodies is None:
+        memory = memory._replace(bodies=prisms(world.shape, world.boxes, world.speed_mps))
+    sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory)
     if not weather.is_clear:
         reflectivity = rng.key(seed, rng.Stream.REFLECTIVITY)
         dirt = rng.key(seed, rng.Stream.DIRT)

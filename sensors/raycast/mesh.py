@@ -40,9 +40,14 @@ class _Tile(NamedTuple):
 
 
 def cast(
-    tracer_of: Callable[[ndarray], Tracer], sweeps, boxes: Boxes, bodies: Prisms, scene: Scene, noise: RangeNoise,
+    tracer_of: Callable[[ndarray], Tracer],
+    sweeps,
+    boxes: Boxes,
+    bodies: Prisms,
+    scene: Scene,
+    noise: RangeNoise,
     _near: Neighbours,
-) -> None:  # fmt: skip
+) -> None:
     """Cast the rays of all observers.
 
     Parameters
@@ -166,7 +171,11 @@ def city_triangles(scene: Scene) -> Float[ndarray, "t 3 3"]:
     return np.concatenate(parts)
 
 
-def _bodies(bodies: Prisms, boxes: Boxes, scene: Scene) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:
+def _bodies(
+    bodies: Prisms,
+    boxes: Boxes,
+    scene: Scene,
+) -> tuple[Float[ndarray, "t 3 3"], Int[ndarray, "t"]]:
     """Triangles of all actors, and the actor of each: meshes of the scene where their shape has one, else prisms."""
     is_mesh = np.isin(bodies.shape, list(scene.bodies_m))
     owner = np.repeat(owner_of_rows(np.diff(bodies.ptr)), 12)

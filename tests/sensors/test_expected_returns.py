@@ -6,7 +6,7 @@ import pytest
 from sensors import evidence
 from sensors.boxes import Boxes
 from sensors.expected_returns import expected_returns
-from sensors.lidar import LidarParams, beams, scan
+from sensors.lidar import LidarParams, beams, mount, scan
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import neighbours
 from sensors.scene import Scene, Shape, prisms
@@ -16,13 +16,10 @@ PARAMS = LidarParams(range_sigma_m=0.0)
 
 
 def returns_of(boxes, shape, observers, scene, params=PARAMS):
-    origin_m = boxes.xyz_m[observers].copy()
-    origin_m[:, 2] += 0.5 * boxes.lwh_m[observers, 2] + params.mount_above_roof_m
-    near = neighbours(origin_m, boxes, params.max_range_m)
+    poses = mount(boxes, observers, params)
+    near = neighbours(poses.origin_m, boxes, params.max_range_m)
     walls, bodies = WallIndex.of(scene.buildings), prisms(shape, boxes)
-    found = expected_returns(
-        origin_m, boxes.yaw_rad[observers], observers, beams(params), near, boxes, bodies, walls, params.max_range_m
-    )
+    found = expected_returns(poses, observers, beams(params), near, boxes, bodies, walls, params.max_range_m)
     o = np.repeat(np.arange(len(observers)), np.diff(near.ptr))
     return o, near.row, found
 

@@ -8,8 +8,8 @@ import pytest
 from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.evidence import observability, points_in_boxes
-from sensors.lidar import LidarParams, Sweeps, scan
-from sensors.scene import Hit, Scene, Shape
+from sensors.lidar import LidarParams, SweepMemory, Sweeps, scan
+from sensors.scene import Hit, Scene, Shape, prisms
 from tests.sensors.town import blocks, random_boxes, traffic
 from tests.slow import slow
 
@@ -20,7 +20,8 @@ def sweep(boxes, shape, observers, scene, speed_mps=None, **params) -> Sweeps:
     """A sweep without noise."""
     keys = np.arange(len(observers), dtype=np.uint64)
     table = LidarParams(range_sigma_m=0.0, **params)
-    return scan(boxes, shape, np.asarray(observers), scene, table, keys, unrounded=True, speed_mps=speed_mps)
+    memory = SweepMemory(bodies=None if speed_mps is None else prisms(shape, boxes, speed_mps))
+    return scan(boxes, shape, np.asarray(observers), scene, table, keys, memory, unrounded=True)
 
 
 def later(boxes: Boxes, speed_mps, time_s: float) -> Boxes:

@@ -22,7 +22,6 @@ from sensors.evidence_kernels import in_area
 from sensors.expected_returns import ExpectedReturns, expected_returns
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import neighbours
-from sensors.pairs import pairs_of
 from sensors.scene import prisms
 from sensors.statistical_detector import IdealDetector, StatisticalDetector, detection_p
 
@@ -88,16 +87,14 @@ class Sensing:
     def views(self, world: World, observers: Int[ndarray, "e"]) -> ViewTimes:
         """What the vehicles in these rows of the world can see."""
         boxes, range_m = world.boxes, self.params.max_range_m
-        origin_m, yaw_rad = boxes.xyz_m[observers], boxes.yaw_rad[observers]
-        half_height_m = 0.5 * boxes.lwh_m[observers, 2]
-        origin_m[:, 2] += half_height_m + self.params.mount_above_roof_m
-        near = neighbours(origin_m, boxes, range_m)
+        poses = lidar.mount(boxes, observers, self.params)
+        near = neighbours(poses.origin_m, boxes, range_m)
         bodies = prisms(world.shape, boxes)
-        returns = expected_returns(origin_m, yaw_rad, observers, self.beams, near, boxes, bodies, self.walls, range_m)
+        returns = expected_returns(poses, observers, self.beams, near, boxes, bodies, self.walls, range_m)
         o = owner_of_rows(np.diff(near.ptr))
         no_bodies, fov_rad, area = np.zeros((0, 3)), self.beams.fov_rad, self.area
         inside = in_area(
-            pairs_of(o, origin_m, yaw_rad, boxes, near.row),
+            poses.pairs(o, boxes, near.row),
             np.zeros(0, bool),
             no_bodies,
             no_bodies,
@@ -113,7 +110,7 @@ class Sensing:
         o, inside = o[rows], inside[rows]
         body = near.row[rows]
         found = ExpectedReturns(returns.n[rows], returns.n_unoccluded[rows])
-        apart_m = np.linalg.norm(boxes.xyz_m[body] - origin_m[o], axis=1)
+        apart_m = np.linalg.norm(boxes.xyz_m[body] - poses.origin_m[o], axis=1)
         return ViewTimes(
             own=observers,
             ptr=ptr_of(o, len(observers)),
