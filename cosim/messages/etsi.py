@@ -12,7 +12,7 @@ as not extensible, because the last constraint has no extension marker, and so d
 constraint would expect one more bit.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ from cosim.messages.uper import (
     least,
     n_bits,
     rows,
-)  # fmt: skip
+)
 
 RELEASE_1, RELEASE_2 = "ITS-Container", "ETSI-ITS-CDD"
 CAM_MODULE, CPM_MODULE = "CAM-PDU-Descriptions", "CPM-PDU-Descriptions"
@@ -55,28 +55,32 @@ def _header(module: str) -> Record:
     names = ("INTEGER", "INTEGER", "StationID")
     if module == RELEASE_2:
         names = ("OrdinalNumber1B", "MessageId", "StationId")
-    station = Integer(names[2], module, 0, 2**32 - 1)
-    return Record("ItsPduHeader", module, (
-        Member("protocolVersion", byte(names[0])), Member("messageId", byte(names[1])), Member("stationId", station),
-    ))  # fmt: skip
+    members = (
+        Member("protocolVersion", byte(names[0])),
+        Member("messageId", byte(names[1])),
+        Member("stationId", Integer(names[2], module, 0, 2**32 - 1)),
+    )
+    return Record("ItsPduHeader", module, members)
 
 
 def _reference_position(module: str) -> Record:
     of = partial(Integer, module=module)
-    ellipse = Record("PosConfidenceEllipse", module, (
+    ellipse = (
         Member("semiMajorConfidence", of("SemiAxisLength", low=0, high=4095)),
         Member("semiMinorConfidence", of("SemiAxisLength", low=0, high=4095)),
         Member("semiMajorOrientation", of("HeadingValue", low=0, high=3601)),
-    ))  # fmt: skip
-    altitude = Record("Altitude", module, (
+    )
+    altitude = (
         Member("altitudeValue", of("AltitudeValue", low=-100000, high=800001)),
         Member("altitudeConfidence", Enumerated("AltitudeConfidence", module, tuple(range(16)))),
-    ))  # fmt: skip
-    return Record("ReferencePosition", module, (
+    )
+    members = (
         Member("latitude", of("Latitude", low=-900000000, high=900000001)),
         Member("longitude", of("Longitude", low=-1800000000, high=1800000001)),
-        Member("positionConfidenceEllipse", ellipse), Member("altitude", altitude),
-    ))  # fmt: skip
+        Member("positionConfidenceEllipse", Record("PosConfidenceEllipse", module, ellipse)),
+        Member("altitude", Record("Altitude", module, altitude)),
+    )
+    return Record("ReferencePosition", module, members)
 
 
 def _with_confidence(name: str, value: Integer, confidence: Integer | Enumerated, module: str = RELEASE_2) -> Record:
@@ -88,9 +92,10 @@ _ANGLE = _with_confidence(
     "CartesianAngle", cdd("CartesianAngleValue", low=0, high=3601), cdd("AngleConfidence", low=1, high=127)
 )
 _COORDINATE = _with_confidence(
-    "CartesianCoordinateWithConfidence", cdd("CartesianCoordinateLarge", low=-131072, high=131071),
+    "CartesianCoordinateWithConfidence",
+    cdd("CartesianCoordinateLarge", low=-131072, high=131071),
     cdd("CoordinateConfidence", low=1, high=4096),
-)  # fmt: skip
+)
 _VELOCITY = _with_confidence(
     "VelocityComponent", cdd("VelocityComponentValue", low=-16383, high=16383), cdd("SpeedConfidence", low=1, high=127)
 )
@@ -103,30 +108,42 @@ _CONFIDENCE = cdd("ConfidenceLevel", low=1, high=101)
 
 _PEDESTRIAN = Enumerated("VruSubProfilePedestrian", RELEASE_2, (0, 1, 2, 3, 15))
 _BICYCLIST = Enumerated("VruSubProfileBicyclist", RELEASE_2, (*range(9), 15))
-_OBJECT_CLASS = UperChoice("ObjectClass", RELEASE_2, {
+_VRU_CLASS = {
+    "pedestrian": _PEDESTRIAN,
+    "bicyclistAndLightVruVehicle": _BICYCLIST,
+    "motorcyclist": None,
+    "animal": None,
+}
+_OBJECT_CLASS: dict[str, Type | None] = {
     "vehicleSubClass": cdd("TrafficParticipantType", low=0, high=14),
-    "vruSubClass": UperChoice("VruProfileAndSubprofile", RELEASE_2, {
-        "pedestrian": _PEDESTRIAN, "bicyclistAndLightVruVehicle": _BICYCLIST, "motorcyclist": None, "animal": None,
-    }, True),
-    "groupSubClass": None, "otherSubClass": None,
-}, True)  # fmt: skip
+    "vruSubClass": UperChoice("VruProfileAndSubprofile", RELEASE_2, _VRU_CLASS, True),
+    "groupSubClass": None,
+    "otherSubClass": None,
+}
+_CLASSIFICATION = (
+    Member("objectClass", UperChoice("ObjectClass", RELEASE_2, _OBJECT_CLASS, True)),
+    Member("confidence", _CONFIDENCE),
+)
 
-OBJECT = Record("PerceivedObject", RELEASE_2, (
+_POSITION = (
+    Member("xCoordinate", _COORDINATE),
+    Member("yCoordinate", _COORDINATE),
+    maybe("zCoordinate", _COORDINATE),
+)
+_CARTESIAN = (
+    Member("xVelocity", _VELOCITY),
+    Member("yVelocity", _VELOCITY),
+    maybe("zVelocity", _VELOCITY),
+)
+_VELOCITIES = {"polarVelocity": None, "cartesianVelocity": Record("VelocityCartesian", RELEASE_2, _CARTESIAN)}
+_ANGLES = (Member("zAngle", _ANGLE), maybe("yAngle", _ANGLE), maybe("xAngle", _ANGLE))
+_OBJECT = (
     maybe("objectId", cdd("Identifier2B", low=0, high=65535)),
     Member("measurementDeltaTime", cdd("DeltaTimeMilliSecondSigned", low=-2048, high=2047)),
-    Member("position", Record("CartesianPosition3dWithConfidence", RELEASE_2, (
-        Member("xCoordinate", _COORDINATE), Member("yCoordinate", _COORDINATE), maybe("zCoordinate", _COORDINATE),
-    ))),
-    maybe("velocity", UperChoice("Velocity3dWithConfidence", RELEASE_2, {
-        "polarVelocity": None,
-        "cartesianVelocity": Record("VelocityCartesian", RELEASE_2, (
-            Member("xVelocity", _VELOCITY), Member("yVelocity", _VELOCITY), maybe("zVelocity", _VELOCITY),
-        )),
-    })),
+    Member("position", Record("CartesianPosition3dWithConfidence", RELEASE_2, _POSITION)),
+    maybe("velocity", UperChoice("Velocity3dWithConfidence", RELEASE_2, _VELOCITIES)),
     maybe("acceleration"),
-    maybe("angles", Record("EulerAnglesWithConfidence", RELEASE_2, (
-        Member("zAngle", _ANGLE), maybe("yAngle", _ANGLE), maybe("xAngle", _ANGLE),
-    ))),
+    maybe("angles", Record("EulerAnglesWithConfidence", RELEASE_2, _ANGLES)),
     maybe("zAngularVelocity"),
     maybe("lowerTriangularCorrelationMatrices"),
     maybe("objectDimensionZ", _DIMENSION),
@@ -135,109 +152,152 @@ OBJECT = Record("PerceivedObject", RELEASE_2, (
     maybe("objectAge", cdd("DeltaTimeMilliSecondSigned", low=0, high=2047)),
     maybe("objectPerceptionQuality", cdd("ObjectPerceptionQuality", low=0, high=15)),
     maybe("sensorIdList", ListOf("SequenceOfIdentifier1B", RELEASE_2, _IDENTIFIER, 1, 128, True)),
-    maybe("classification", ListOf("ObjectClassDescription", RELEASE_2, Record("ObjectClassWithConfidence", RELEASE_2, (
-        Member("objectClass", _OBJECT_CLASS), Member("confidence", _CONFIDENCE),
-    )), 1, 8)),
+    maybe(
+        "classification",
+        ListOf(
+            "ObjectClassDescription", RELEASE_2, Record("ObjectClassWithConfidence", RELEASE_2, _CLASSIFICATION), 1, 8
+        ),
+    ),
     maybe("mapPosition"),
-), True)  # fmt: skip
+)
+OBJECT = Record("PerceivedObject", RELEASE_2, _OBJECT, True)
 """One perceived object of a CPM."""
 
-_VEHICLE = Record("OriginatingVehicleContainer", "CPM-OriginatingStationContainers", (
-    Member("orientationAngle", _with_confidence(
-        "Wgs84Angle", cdd("Wgs84AngleValue", low=0, high=3601), cdd("Wgs84AngleConfidence", low=1, high=127)
-    )),
-    maybe("pitchAngle", _ANGLE), maybe("rollAngle", _ANGLE), maybe("trailerDataSet"),
-), True)  # fmt: skip
+_ORIENTATION = _with_confidence(
+    "Wgs84Angle", cdd("Wgs84AngleValue", low=0, high=3601), cdd("Wgs84AngleConfidence", low=1, high=127)
+)
+_VEHICLE = (
+    Member("orientationAngle", _ORIENTATION),
+    maybe("pitchAngle", _ANGLE),
+    maybe("rollAngle", _ANGLE),
+    maybe("trailerDataSet"),
+)
 
-_SENSORS = ListOf("SensorInformationContainer", "CPM-SensorInformationContainer", Record(
-    "SensorInformation", "CPM-SensorInformationContainer", (
-        Member("sensorId", _IDENTIFIER), Member("sensorType", cdd("SensorType", low=0, high=31)),
-        maybe("perceptionRegionShape", UperChoice("Shape", RELEASE_2, {
-            "rectangular": None,
-            "circular": Record("CircularShape", RELEASE_2, (
-                maybe("shapeReferencePoint"), Member("radius", _LENGTH), maybe("height", _LENGTH),
-            )),
-            "polygonal": None, "elliptical": None, "radial": None, "radialShapes": None,
-        }, True)),
-        maybe("perceptionRegionConfidence", _CONFIDENCE),
-        Member("shadowingApplies", Integer("BOOLEAN", "X.680", 0, 1)),
-    ), True,
-), 1, 128, True)  # fmt: skip
+_CIRCLE = (
+    maybe("shapeReferencePoint"),
+    Member("radius", _LENGTH),
+    maybe("height", _LENGTH),
+)
+_SHAPES = {
+    "rectangular": None,
+    "circular": Record("CircularShape", RELEASE_2, _CIRCLE),
+    "polygonal": None,
+    "elliptical": None,
+    "radial": None,
+    "radialShapes": None,
+}
+_SENSOR_MODULE = "CPM-SensorInformationContainer"
+_SENSOR = (
+    Member("sensorId", _IDENTIFIER),
+    Member("sensorType", cdd("SensorType", low=0, high=31)),
+    maybe("perceptionRegionShape", UperChoice("Shape", RELEASE_2, _SHAPES, True)),
+    maybe("perceptionRegionConfidence", _CONFIDENCE),
+    Member("shadowingApplies", Integer("BOOLEAN", "X.680", 0, 1)),
+)
+_SENSOR_INFORMATION = Record("SensorInformation", _SENSOR_MODULE, _SENSOR, True)
 
-_OBJECTS = Record("PerceivedObjectContainer", "CPM-PerceivedObjectContainer", (
+_OBJECT_MODULE = "CPM-PerceivedObjectContainer"
+_PERCEIVED = (
     Member("numberOfPerceivedObjects", cdd("CardinalNumber1B", low=0, high=255)),
-    Member("perceivedObjects", ListOf("PerceivedObjects", "CPM-PerceivedObjectContainer", OBJECT, 0, 255, True)),
-), True)  # fmt: skip
+    Member("perceivedObjects", ListOf("PerceivedObjects", _OBJECT_MODULE, OBJECT, 0, 255, True)),
+)
+_OBJECTS = Record("PerceivedObjectContainer", _OBJECT_MODULE, _PERCEIVED, True)
 
 VEHICLE, SENSORS, OBJECTS = 1, 3, 5
 """Identifiers of containers."""
 
-CPM = Record("CollectivePerceptionMessage", CPM_MODULE, (
+_CONTAINER: dict[int, Type] = {
+    VEHICLE: Record("OriginatingVehicleContainer", "CPM-OriginatingStationContainers", _VEHICLE, True),
+    SENSORS: ListOf("SensorInformationContainer", _SENSOR_MODULE, _SENSOR_INFORMATION, 1, 128, True),
+    OBJECTS: _OBJECTS,
+}
+_CONTAINER_ID = Integer("CpmContainerId", CPM_MODULE, 1, 16)
+_WRAPPED = Wrapped("WrappedCpmContainer", CPM_MODULE, _CONTAINER_ID, _CONTAINER)
+_SEGMENT = (
+    Member("totalMsgNo", cdd("CardinalNumber3b", low=1, high=8)),
+    Member("thisMsgNo", cdd("OrdinalNumber3b", low=1, high=8)),
+)
+_MANAGEMENT = (
+    Member("referenceTime", cdd("TimestampIts", low=0, high=2**42 - 1)),
+    Member("referencePosition", _reference_position(RELEASE_2)),
+    maybe("segmentationInfo", Record("MessageSegmentationInfo", RELEASE_2, _SEGMENT)),
+    maybe("messageRateRange"),
+)
+_PAYLOAD = (
+    Member("managementContainer", Record("ManagementContainer", CPM_MODULE, _MANAGEMENT, True)),
+    Member("cpmContainers", ListOf("ConstraintWrappedCpmContainers", CPM_MODULE, _WRAPPED, 1, 8)),
+)
+_CPM = (
     Member("header", _header(RELEASE_2)),
-    Member("payload", Record("CpmPayload", CPM_MODULE, (
-        Member("managementContainer", Record("ManagementContainer", CPM_MODULE, (
-            Member("referenceTime", cdd("TimestampIts", low=0, high=2**42 - 1)),
-            Member("referencePosition", _reference_position(RELEASE_2)),
-            maybe("segmentationInfo", Record("MessageSegmentationInfo", RELEASE_2, (
-                Member("totalMsgNo", cdd("CardinalNumber3b", low=1, high=8)),
-                Member("thisMsgNo", cdd("OrdinalNumber3b", low=1, high=8)),
-            ))),
-            maybe("messageRateRange"),
-        ), True)),
-        Member("cpmContainers", ListOf("ConstraintWrappedCpmContainers", CPM_MODULE, Wrapped(
-            "WrappedCpmContainer", CPM_MODULE, Integer("CpmContainerId", CPM_MODULE, 1, 16),
-            {VEHICLE: _VEHICLE, SENSORS: _SENSORS, OBJECTS: _OBJECTS},
-        ), 1, 8)),
-    ), True)),
-))  # fmt: skip
+    Member("payload", Record("CpmPayload", CPM_MODULE, _PAYLOAD, True)),
+)
+CPM = Record("CollectivePerceptionMessage", CPM_MODULE, _CPM)
 """Collective perception message of TS 103 324."""
 
-_HIGH_FREQUENCY = Record("BasicVehicleContainerHighFrequency", CAM_MODULE, (
-    Member("heading", _with_confidence(
-        "Heading", its("HeadingValue", low=0, high=3601), its("HeadingConfidence", low=1, high=127), RELEASE_1
-    )),
-    Member("speed", _with_confidence(
-        "Speed", its("SpeedValue", low=0, high=16383), its("SpeedConfidence", low=1, high=127), RELEASE_1
-    )),
-    Member("driveDirection", Enumerated("DriveDirection", RELEASE_1, (0, 1, 2))),
-    Member("vehicleLength", _with_confidence(
-        "VehicleLength", its("VehicleLengthValue", low=1, high=1023),
-        Enumerated("VehicleLengthConfidenceIndication", RELEASE_1, tuple(range(5))), RELEASE_1,
-    )),
-    Member("vehicleWidth", its("VehicleWidth", low=1, high=62)),
-    Member("longitudinalAcceleration", _with_confidence(
-        "LongitudinalAcceleration", its("LongitudinalAccelerationValue", low=-160, high=161),
-        its("AccelerationConfidence", low=0, high=102), RELEASE_1,
-    )),
-    Member("curvature", _with_confidence(
-        "Curvature", its("CurvatureValue", low=-1023, high=1023),
-        Enumerated("CurvatureConfidence", RELEASE_1, tuple(range(8))), RELEASE_1,
-    )),
-    Member("curvatureCalculationMode", Enumerated("CurvatureCalculationMode", RELEASE_1, (0, 1, 2), True)),
-    Member("yawRate", _with_confidence(
-        "YawRate", its("YawRateValue", low=-32766, high=32767),
-        Enumerated("YawRateConfidence", RELEASE_1, tuple(range(9))), RELEASE_1,
-    )),
-    maybe("accelerationControl"), maybe("lanePosition"), maybe("steeringWheelAngle"), maybe("lateralAcceleration"),
-    maybe("verticalAcceleration"), maybe("performanceClass"), maybe("cenDsrcTollingZone"),
-))  # fmt: skip
 
-CAM = Record("CAM", CAM_MODULE, (
+def _indicated(name: str, value: Integer, confidence: str, n: int) -> Record:
+    """A value of release 1 whose confidence is one of n intervals."""
+    return _with_confidence(name, value, Enumerated(confidence, RELEASE_1, tuple(range(n))), RELEASE_1)
+
+
+_HEADING = _with_confidence(
+    "Heading", its("HeadingValue", low=0, high=3601), its("HeadingConfidence", low=1, high=127), RELEASE_1
+)
+_SPEED = _with_confidence(
+    "Speed", its("SpeedValue", low=0, high=16383), its("SpeedConfidence", low=1, high=127), RELEASE_1
+)
+_VEHICLE_LENGTH = _indicated(
+    "VehicleLength", its("VehicleLengthValue", low=1, high=1023), "VehicleLengthConfidenceIndication", 5
+)
+_ACCELERATION = _with_confidence(
+    "LongitudinalAcceleration",
+    its("LongitudinalAccelerationValue", low=-160, high=161),
+    its("AccelerationConfidence", low=0, high=102),
+    RELEASE_1,
+)
+_CURVATURE = _indicated("Curvature", its("CurvatureValue", low=-1023, high=1023), "CurvatureConfidence", 8)
+_YAW_RATE = _indicated("YawRate", its("YawRateValue", low=-32766, high=32767), "YawRateConfidence", 9)
+_HIGH_FREQUENCY = (
+    Member("heading", _HEADING),
+    Member("speed", _SPEED),
+    Member("driveDirection", Enumerated("DriveDirection", RELEASE_1, (0, 1, 2))),
+    Member("vehicleLength", _VEHICLE_LENGTH),
+    Member("vehicleWidth", its("VehicleWidth", low=1, high=62)),
+    Member("longitudinalAcceleration", _ACCELERATION),
+    Member("curvature", _CURVATURE),
+    Member("curvatureCalculationMode", Enumerated("CurvatureCalculationMode", RELEASE_1, (0, 1, 2), True)),
+    Member("yawRate", _YAW_RATE),
+    maybe("accelerationControl"),
+    maybe("lanePosition"),
+    maybe("steeringWheelAngle"),
+    maybe("lateralAcceleration"),
+    maybe("verticalAcceleration"),
+    maybe("performanceClass"),
+    maybe("cenDsrcTollingZone"),
+)
+_HIGH_FREQUENCY_CONTAINER = {
+    "basicVehicleContainerHighFrequency": Record("BasicVehicleContainerHighFrequency", CAM_MODULE, _HIGH_FREQUENCY),
+    "rsuContainerHighFrequency": None,
+}
+_BASIC = (
+    Member("stationType", its("StationType", low=0, high=255)),
+    Member("referencePosition", _reference_position(RELEASE_1)),
+)
+_CAM_PARAMETERS = (
+    Member("basicContainer", Record("BasicContainer", CAM_MODULE, _BASIC, True)),
+    Member("highFrequencyContainer", UperChoice("HighFrequencyContainer", CAM_MODULE, _HIGH_FREQUENCY_CONTAINER, True)),
+    maybe("lowFrequencyContainer"),
+    maybe("specialVehicleContainer"),
+)
+_AWARENESS = (
+    Member("generationDeltaTime", Integer("GenerationDeltaTime", CAM_MODULE, 0, 65535)),
+    Member("camParameters", Record("CamParameters", CAM_MODULE, _CAM_PARAMETERS, True)),
+)
+_CAM = (
     Member("header", _header(RELEASE_1)),
-    Member("cam", Record("CoopAwareness", CAM_MODULE, (
-        Member("generationDeltaTime", Integer("GenerationDeltaTime", CAM_MODULE, 0, 65535)),
-        Member("camParameters", Record("CamParameters", CAM_MODULE, (
-            Member("basicContainer", Record("BasicContainer", CAM_MODULE, (
-                Member("stationType", its("StationType", low=0, high=255)),
-                Member("referencePosition", _reference_position(RELEASE_1)),
-            ), True)),
-            Member("highFrequencyContainer", UperChoice("HighFrequencyContainer", CAM_MODULE, {
-                "basicVehicleContainerHighFrequency": _HIGH_FREQUENCY, "rsuContainerHighFrequency": None,
-            }, True)),
-            maybe("lowFrequencyContainer"), maybe("specialVehicleContainer"),
-        ), True)),
-    ))),
-))  # fmt: skip
+    Member("cam", Record("CoopAwareness", CAM_MODULE, _AWARENESS)),
+)
+CAM = Record("CAM", CAM_MODULE, _CAM)
 """Cooperative awareness message of EN 302 637-2."""
 
 CLASSES: dict[ObjectClass, tuple[str, Any]] = {
@@ -252,9 +312,15 @@ STATION_TYPE = {ObjectClass.CAR: 5, ObjectClass.PEDESTRIAN: 1, ObjectClass.CYCLI
 """Classes as CAMs and GeoNetworking state them."""
 
 FILLED = (
-    "objectId", "zCoordinate", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "sensorIdList",
+    "objectId",
+    "zCoordinate",
+    "angles",
+    "objectDimensionZ",
+    "objectDimensionY",
+    "objectDimensionX",
+    "sensorIdList",
     "classification",
-)  # fmt: skip
+)
 """Optional members of an object that `CpmObjects` fills; it fills the velocity, too, where that is known."""
 
 PROTOCOL, CAM_ID, CPM_ID, LIDAR_ID, LIDAR = 2, 2, 14, 1, 2
@@ -292,9 +358,12 @@ def object_bits(members: Collection[str] = FILLED) -> Int[ndarray, "4"]:
 
 
 def cpm_bytes(
-    n_objects: Int[ndarray, "m 4"], is_segment: bool = False, *,
-    n_moving: Int[ndarray, "m 4"] | int = 0, has_sensors: Bool[ndarray, "m"] | bool = True,
-) -> Int[ndarray, "m"]:  # fmt: skip
+    n_objects: Int[ndarray, "m 4"],
+    is_segment: bool = False,
+    *,
+    n_moving: Int[ndarray, "m 4"] | int = 0,
+    has_sensors: Bool[ndarray, "m"] | bool = True,
+) -> Int[ndarray, "m"]:
     """Length of CPMs with a vehicle container, without headers of the network and security [B].
 
     Parameters
@@ -358,7 +427,13 @@ def its_ms(unix_s: float) -> int:
     return round((unix_s - 1_072_915_200 + 5) * 1000)
 
 
-def up(value: Float[ndarray, "n"], unit: float, low: int, high: int, unknown: int | None = None) -> Int[ndarray, "n"]:
+def up(
+    value: Float[ndarray, "n"],
+    unit: float,
+    low: int,
+    high: int,
+    unknown: int | None = None,
+) -> Int[ndarray, "n"]:
     """Multiples of a unit that are not less than the values, as the data dictionary rounds; held within the range.
 
     A value that is up to a thousandth of a unit above a multiple counts as that multiple. NaN becomes `unknown`.
@@ -454,10 +529,15 @@ class CpmObjects:
 
     @staticmethod
     def of(
-        number: Int[ndarray, "n"], label: Int[ndarray, "n"], xyz_m: Float[ndarray, "n 3"],
-        lwh_m: Float[ndarray, "n 3"], angle_rad: Float[ndarray, "n"], score: Float[ndarray, "n"],
-        velocity_mps: Float[ndarray, "n 2"] | None = None, confidences: Confidences | None = None,
-    ) -> "CpmObjects":  # fmt: skip
+        number: Int[ndarray, "n"],
+        label: Int[ndarray, "n"],
+        xyz_m: Float[ndarray, "n 3"],
+        lwh_m: Float[ndarray, "n 3"],
+        angle_rad: Float[ndarray, "n"],
+        score: Float[ndarray, "n"],
+        velocity_mps: Float[ndarray, "n 2"] | None = None,
+        confidences: Confidences | None = None,
+    ) -> "CpmObjects":
         """Encode objects.
 
         Parameters
@@ -505,7 +585,7 @@ class CpmObjects:
                 mine = np.flatnonzero((label == kind) & (moves == has_velocity))
                 if len(mine):
                     stated = Confidences(*(column[mine] for column in confidences))
-                    value = _object(kind, stated, *(column[mine] for column in columns))
+                    value = _object(kind, stated, [column[mine] for column in columns])
                     if has_velocity:
                         value |= _velocity(velocity[mine], stated)
                     width = widths[has_velocity, kind]
@@ -519,10 +599,15 @@ class CpmObjects:
         return Encoded(end - begin, whole >> -len(bits) % 8, len(bits))
 
 
-def _object(kind: ObjectClass, of: Confidences, number: Any, x: Any, y: Any, z: Any, *rest: Any) -> dict[str, Any]:
-    angle, length, width, height, sure = rest
+def _object(
+    kind: ObjectClass,
+    of: Confidences,
+    columns: Sequence[ndarray],
+) -> dict[str, Any]:
+    number, x, y, z, angle, length, width, height, sure = columns
     return {
-        "objectId": number, "measurementDeltaTime": 0,
+        "objectId": number,
+        "measurementDeltaTime": 0,
         "position": {
             "xCoordinate": {"value": x, "confidence": of.x},
             "yCoordinate": {"value": y, "confidence": of.y},
@@ -534,7 +619,7 @@ def _object(kind: ObjectClass, of: Confidences, number: Any, x: Any, y: Any, z: 
         "objectDimensionX": {"value": length, "confidence": of.length},
         "sensorIdList": [LIDAR_ID],
         "classification": [{"objectClass": CLASSES[kind], "confidence": sure}],
-    }  # fmt: skip
+    }
 
 
 def _velocity(east_north: Any, stated: Any) -> dict[str, Any]:
@@ -569,20 +654,27 @@ def _place(latitude: Any, longitude: Any) -> dict[str, Any]:
     ellipse = {"semiMajorConfidence": 4095, "semiMinorConfidence": 4095, "semiMajorOrientation": 3601}
     altitude = {"altitudeValue": 800001, "altitudeConfidence": 15}
     return {
-        "latitude": latitude, "longitude": longitude, "positionConfidenceEllipse": ellipse, "altitude": altitude
-    }  # fmt: skip
+        "latitude": latitude,
+        "longitude": longitude,
+        "positionConfidenceEllipse": ellipse,
+        "altitude": altitude,
+    }
 
 
 def _cpm(head: CpmHead, objects: dict[str, Any]) -> dict[str, Any]:
     management: dict[str, Any] = {
-        "referenceTime": head.time_ms, "referencePosition": _place(head.latitude, head.longitude)
-    }  # fmt: skip
+        "referenceTime": head.time_ms,
+        "referencePosition": _place(head.latitude, head.longitude),
+    }
     if head.segment:
         management["segmentationInfo"] = dict(zip(("totalMsgNo", "thisMsgNo"), head.segment, strict=True))
     region = ("circular", {"radius": min(round(10 * head.range_m), 4095)})
     sensor = {
-        "sensorId": LIDAR_ID, "sensorType": LIDAR, "perceptionRegionShape": region, "shadowingApplies": 1
-    }  # fmt: skip
+        "sensorId": LIDAR_ID,
+        "sensorType": LIDAR,
+        "perceptionRegionShape": region,
+        "shadowingApplies": 1,
+    }
     vehicle = {"orientationAngle": {"value": head.heading, "confidence": 127}}
     sensors = [(SENSORS, [sensor])] if head.has_sensors else []
     return {
@@ -605,21 +697,40 @@ def cpm(head: CpmHead, n_objects: int, objects: Encoded) -> bytes:
     return encode(CPM, _cpm(head, {"numberOfPerceivedObjects": n_objects, "perceivedObjects": objects}))
 
 
+class PositionVectors(NamedTuple):
+    """Senders, when and where they are and how they move: the long position vectors of GeoNetworking, before encoding.
+
+    `station`, `time_ms`, `latitude`, `longitude` and `heading` are as in `CpmHead`.
+    """
+
+    station: Int[ndarray, "n"]
+    label: Int[ndarray, "n"]
+    """`ObjectClass` of the sender."""
+    time_ms: Int[ndarray, "n"]
+    latitude: Int[ndarray, "n"]
+    longitude: Int[ndarray, "n"]
+    heading: Int[ndarray, "n"]
+    speed_mps: Float[ndarray, "n"]
+    """Along the heading; below 0 is backward, NaN: unavailable."""
+
+    def station_type(self) -> Int[ndarray, "n"]:
+        """Class of each sender, as CAMs and GeoNetworking state it."""
+        return np.array([STATION_TYPE[kind] for kind in ObjectClass])[self.label]
+
+
 def cams(
-    station: Int[ndarray, "n"], time_ms: Int[ndarray, "n"], label: Int[ndarray, "n"], latitude: Int[ndarray, "n"],
-    longitude: Int[ndarray, "n"], compass: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"],
-    acceleration_mps2: Float[ndarray, "n"], lwh_m: Float[ndarray, "n 3"],
-) -> UInt8[ndarray, "n 41"]:  # fmt: skip
+    senders: PositionVectors,
+    acceleration_mps2: Float[ndarray, "n"],
+    lwh_m: Float[ndarray, "n 3"],
+) -> UInt8[ndarray, "n 41"]:
     """Cooperative awareness messages without low-frequency and special containers, one in each row.
 
     Parameters
     ----------
-    station, time_ms, latitude, longitude, compass
-        As in `CpmHead`.
-    label
-        `ObjectClass` of the sender.
-    speed_mps, acceleration_mps2
-        Along the heading; NaN: unavailable. A speed below 0 is backward.
+    senders
+        The vehicles that send.
+    acceleration_mps2
+        Along the heading; NaN: unavailable.
     lwh_m
         Length, width and height of the sender.
 
@@ -628,27 +739,31 @@ def cams(
     ValueError
         In one line: a number out of range.
     """
-    speed = np.asarray(speed_mps, float)
+    speed = np.asarray(senders.speed_mps, float)
     direction = np.where(np.isfinite(speed), (speed < 0).astype(np.int64), 2)
-    types = np.array([STATION_TYPE[kind] for kind in ObjectClass])
     motion = {
-        "heading": {"value": compass, "confidence": 127},
+        "heading": {"value": senders.heading, "confidence": 127},
         "speed": {"value": up(np.abs(speed), 0.01, 0, 16382, 16383), "confidence": 127},
         "driveDirection": direction,
         "vehicleLength": {"value": up(lwh_m[:, 0], 0.1, 1, 1022), "confidence": 4},
         "vehicleWidth": up(lwh_m[:, 1], 0.1, 1, 61),
         "longitudinalAcceleration": {"value": up(acceleration_mps2, 0.1, -160, 160, 161), "confidence": 102},
-        "curvature": {"value": 1023, "confidence": 7}, "curvatureCalculationMode": 2,
+        "curvature": {"value": 1023, "confidence": 7},
+        "curvatureCalculationMode": 2,
         "yawRate": {"value": 32767, "confidence": 8},
-    }  # fmt: skip
+    }
+    basic = {
+        "stationType": senders.station_type(),
+        "referencePosition": _place(senders.latitude, senders.longitude),
+    }
     value = {
-        "header": {"protocolVersion": PROTOCOL, "messageId": CAM_ID, "stationId": station},
+        "header": {"protocolVersion": PROTOCOL, "messageId": CAM_ID, "stationId": senders.station},
         "cam": {
-            "generationDeltaTime": np.asarray(time_ms) % 65536,
+            "generationDeltaTime": np.asarray(senders.time_ms) % 65536,
             "camParameters": {
-                "basicContainer": {"stationType": types[label], "referencePosition": _place(latitude, longitude)},
+                "basicContainer": basic,
                 "highFrequencyContainer": ("basicVehicleContainerHighFrequency", motion),
             },
         },
     }
-    return np.packbits(rows(CAM, value, len(label)), axis=1)
+    return np.packbits(rows(CAM, value, len(speed)), axis=1)

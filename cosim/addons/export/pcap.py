@@ -251,20 +251,23 @@ class PcapPackets:
         front[:, :2] += half_m * ahead_of(yaw)
         front[:, 2] -= 0.5 * box[:, 5]
         place = self.projection.of_world(front[:, :2])
-        lat = np.round(place.latitude_deg * 1e7).astype(np.int64)
-        lon = np.round(place.longitude_deg * 1e7).astype(np.int64)
-        compass = etsi.heading(compass_deg(yaw) + np.degrees(place.turn_rad))
-        station = senders.observer.to_numpy(np.int64)
         since_ms = np.round(senders.step.to_numpy() * self.selection.run.dt_s * 1000)
-        time_ms = etsi.its_ms(START_S) + since_ms.astype(np.int64)
-        label = _labels(senders["class"])
-        speed, change = senders.speed_mps.to_numpy(float), senders.acceleration_mps2.to_numpy(float)
-        cams = etsi.cams(station, time_ms, label, lat, lon, compass, speed, change, size)
+        vectors = etsi.PositionVectors(
+            station=senders.observer.to_numpy(np.int64),
+            label=_labels(senders["class"]),
+            time_ms=etsi.its_ms(START_S) + since_ms.astype(np.int64),
+            latitude=np.round(place.latitude_deg * 1e7).astype(np.int64),
+            longitude=np.round(place.longitude_deg * 1e7).astype(np.int64),
+            heading=etsi.heading(compass_deg(yaw) + np.degrees(place.turn_rad)),
+            speed_mps=senders.speed_mps.to_numpy(float),
+        )
+        cams = etsi.cams(vectors, senders.acceleration_mps2.to_numpy(float), size)
         objects = objects_of(perceived, front[sender], place, sender)
         bits = objects.is_used.sum(axis=1)
         range_m = float(self.selection.run.config["lidar"].get("max_range_m", 0.0))
-        heads = geonetworking(station, label, time_ms, lat, lon, compass, speed)
-        columns = (senders.step, station, time_ms, lat, lon, compass, senders.is_cam, senders.has_sensors)
+        heads = geonetworking(vectors)
+        where = vectors.latitude, vectors.longitude, vectors.heading
+        columns = (senders.step, vectors.station, vectors.time_ms, *where, senders.is_cam, senders.has_sensors)
         rows = zip(*(np.asarray(column).tolist() for column in columns), strict=True)
         found = {}
         for i, (step, number, time, latitude, longitude, angle, is_cam, has_sensors) in enumerate(rows):
@@ -372,28 +375,18 @@ def _turned_std(stated: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Float[nd
     return np.sqrt(np.column_stack([east, north]))
 
 
-def geonetworking(
-    station: Int[ndarray, "n"],
-    label: Int[ndarray, "n"],
-    time_ms: Int[ndarray, "n"],
-    latitude: Int[ndarray, "n"],
-    longitude: Int[ndarray, "n"],
-    compass: Int[ndarray, "n"],
-    speed_mps: Float[ndarray, "n"],
-) -> list[bytes]:
+def geonetworking(senders: etsi.PositionVectors) -> list[bytes]:
     """Extended headers of single-hop broadcasts: the sender's long position vector, and 4 bytes of the medium.
 
-    Arguments are as in `etsi.cams`. An unknown speed is 0, because this header has no value for "unavailable". The
-    position is declared inaccurate, because no accuracy is known.
+    An unknown speed is 0, because this header has no value for "unavailable". The position is declared inaccurate,
+    because no accuracy is known.
     """
-    types = np.array([etsi.STATION_TYPE[kind] for kind in ObjectClass])[label]
-    speed_cm_s = np.round(np.nan_to_num(speed_mps) * 100)
+    speed_cm_s = np.round(np.nan_to_num(senders.speed_mps) * 100)
     in_range = np.clip(speed_cm_s, -(2**14), 2**14 - 1)
     speed = in_range.astype(np.int64) & 0x7FFF
-    columns = (types, station, time_ms, latitude, longitude, speed, compass)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
+    encoded = senders._replace(label=senders.station_type(), speed_mps=speed)
     headers = []
-    for kind, number, time, lat, lon, v, angle in rows:
+    for number, kind, time, lat, lon, angle, v in zip(*(column.tolist() for column in encoded), strict=True):
         flags = 1 << 15 | kind << 10
         low_time = time & 0xFFFFFFFF
         headers.append(struct.pack(">H6sIiiHH4x", flags, mac(number), low_time, lat, lon, v, angle))

@@ -155,10 +155,16 @@ def test_published_lengths_of_an_object(members, published):
 def test_cams_are_forty_one_bytes():
     n, rng = 50, np.random.default_rng(1)
     speed = np.where(rng.random(n) < 0.2, np.nan, rng.uniform(-5, 200, n))
-    rows = etsi.cams(
-        rng.integers(0, 2**32, n), rng.integers(0, 2**42, n), rng.integers(0, 4, n), np.full(n, 601700000),
-        np.full(n, 249400000), rng.integers(0, 3600, n), speed, rng.uniform(-30, 30, n), rng.uniform(0.1, 200, (n, 3)),
-    )  # fmt: skip
+    senders = etsi.PositionVectors(
+        station=rng.integers(0, 2**32, n),
+        label=rng.integers(0, 4, n),
+        time_ms=rng.integers(0, 2**42, n),
+        latitude=np.full(n, 601700000),
+        longitude=np.full(n, 249400000),
+        heading=rng.integers(0, 3600, n),
+        speed_mps=speed,
+    )
+    rows = etsi.cams(senders, rng.uniform(-30, 30, n), rng.uniform(0.1, 200, (n, 3)))
     assert rows.shape == (n, 41) and uper.n_bits(etsi.CAM, uper.least(etsi.CAM)) == 322
     assert rows[0].tobytes()[:2] == bytes([2, 2])
 
