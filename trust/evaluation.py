@@ -8,7 +8,11 @@ from trust.params import TrustParams, eta_of
 from trust.tables import Evaluations, Groups, ObjectLists, SentDetections
 
 
-def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: TrustParams) -> Float[ndarray, "n"]:
+def visibility(
+    n_points: Int[ndarray, "n"],
+    label: UInt8[ndarray, "n"],
+    params: TrustParams,
+) -> Float[ndarray, "n"]:
     """Visibility of a box to an evaluator, from the evaluator's own returns inside it.
 
     Parameters
@@ -37,7 +41,9 @@ def visibility(n_points: Int[ndarray, "n"], label: UInt8[ndarray, "n"], params: 
 
 
 def miss_p(
-    recall: Float[ndarray, "n"], permitted: Float[ndarray, "n"] | float, compared: Float[ndarray, "n"] | float
+    recall: Float[ndarray, "n"],
+    permitted: Float[ndarray, "n"] | float,
+    compared: Float[ndarray, "n"] | float,
 ) -> Float[ndarray, "n"]:
     """Probability that an evaluator finds no match for an object that is there, and sees what it sees at its place.
 

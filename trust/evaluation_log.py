@@ -43,7 +43,11 @@ def _sums(group, values, n_groups):
     return sums
 
 
-def exact_sums(group: Int[ndarray, "n"], values: Float[ndarray, "n"], n_groups: int) -> Float[ndarray, "n_groups"]:
+def exact_sums(
+    group: Int[ndarray, "n"],
+    values: Float[ndarray, "n"],
+    n_groups: int,
+) -> Float[ndarray, "n_groups"]:
     """Sums by group that do not depend on the order of the rows.
 
     Parameters

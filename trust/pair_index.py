@@ -20,7 +20,11 @@ class PairIndex:
         """Rows given so far, those of dropped pairs included: the length of a column of state."""
         return self._rows.size + self._free.size
 
-    def rows(self, holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+    def rows(
+        self,
+        holder: Int[ndarray, "n"],
+        subject: Int[ndarray, "n"],
+    ) -> Int[ndarray, "n"]:
         """Row of each pair. A pair without a row gets one.
 
         Parameters

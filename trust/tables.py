@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import offsets, owner_of_rows, ptr_of, ranges
+from cosim.base.ragged import offsets, owner_of_rows, ptr_of, ranges, rows_of
 from cosim.base.rows import Rows
 
 SERVER = 1 << 30
@@ -222,7 +222,10 @@ class EvaluationMessages:
         return self._with_rows(at, self.evaluator[message], offsets(n))
 
     def _with_rows(
-        self, at: Int[ndarray, "m"], evaluator: Int[ndarray, "k"], ptr: Int[ndarray, "k+1"]
+        self,
+        at: Int[ndarray, "m"],
+        evaluator: Int[ndarray, "k"],
+        ptr: Int[ndarray, "k+1"],
     ) -> "EvaluationMessages":
         """Messages of these evaluators, with the evaluations in the rows `at`."""
         columns = {name: getattr(self, name)[at] for name in _OF_EVALUATIONS}
@@ -587,13 +590,14 @@ class TrustScores(Rows):
         -------
         Row of each (holder, subject), and whether there is one. Where there is none, the row is meaningless.
         """
-        if not self.subject.size:
-            return np.zeros(subject.shape, np.int64), np.zeros(subject.shape, bool)
-        keys, wanted = pair_key(self.holder, self.subject), pair_key(holder, subject)
-        at = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
-        return at, keys[at] == wanted
+        return rows_of(pair_key(holder, subject), pair_key(self.holder, self.subject))
 
-    def trust_of(self, holder: Int[ndarray, "q"], subject: Int[ndarray, "q"], default: float) -> Float[ndarray, "q"]:
+    def trust_of(
+        self,
+        holder: Int[ndarray, "q"],
+        subject: Int[ndarray, "q"],
+        default: float,
+    ) -> Float[ndarray, "q"]:
         """Trust of holders in subjects.
 
         Parameters

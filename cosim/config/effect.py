@@ -1,7 +1,7 @@
 """Keys that a config sets and that change nothing, because another key turns off what they belong to."""
 
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
 from fnmatch import fnmatchcase
 from functools import cache
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from cosim.attacks.params import AttackParams
 from cosim.config.config import PAPER_RULE, Config, chosen, chosen_model, resolve_data
+from cosim.config.data import leaves
 from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
 from sensors.weather import extinction_per_m
@@ -95,7 +96,7 @@ def without_effect(config: Config, is_replayed: bool) -> list[str]:
     usual = _usual(config.preset)
     lists = ("attacks.", "roadside.", "encounters.", "trust_variant.", "objects.", "meshes.", "vehicle_meshes.")
     stated = []
-    for name, value in _leaves(config.to_dict()):
+    for name, value in leaves(config.to_dict()):
         is_usual = any(value == one.get(name) for one in usual)
         if not is_usual and not name.startswith(lists):
             stated.append(name)
@@ -145,7 +146,7 @@ def _unread_by_variants(config: Config) -> list[str]:
 def _usual(preset: str) -> tuple[dict[str, Any], ...]:
     """Keys and values of this preset and of the default preset."""
     made = (resolve_data({"preset": preset}, "", None), resolve_data({}, "", None))
-    return tuple(dict(_leaves(config.to_dict())) for config in made)
+    return tuple(dict(leaves(config.to_dict())) for config in made)
 
 
 def _vain(stated: list[str], needs: list[_Need]) -> list[str]:
@@ -161,12 +162,3 @@ def _vain(stated: list[str], needs: list[_Need]) -> list[str]:
             verb = "have" if len(vain) > 1 else "has"
             lines.append(f"{', '.join(vain)} {verb} no effect without {need}.")
     return lines
-
-
-def _leaves(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with their full names, and their values."""
-    for name, value in data.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.codes import TrustSource
-from cosim.base.ragged import expand
+from cosim.base.ragged import expand, rows_of
 from cosim.base.rows import Rows
 from cosim.messages.pseudonyms import PseudonymParams
 from cosim.messages.trust_hosts import Lookups
@@ -45,9 +45,13 @@ class KnownSenders(Rows):
     def key(self) -> Int[ndarray, "n"]:
         return self.receiver << 31 | self.pseudonym
 
-    def rows_of(self, receiver: Int[ndarray, "q"], pseudonym: Int[ndarray, "q"]) -> Int[ndarray, "q"]:
-        """Row of each pair. For a pair that is not stored, it is the row at which the pair would be inserted."""
-        return np.searchsorted(self.key, receiver.astype(np.int64) << 31 | pseudonym)
+    def rows_of(
+        self,
+        receiver: Int[ndarray, "q"],
+        pseudonym: Int[ndarray, "q"],
+    ) -> tuple[Int[ndarray, "q"], Bool[ndarray, "q"]]:
+        """Row of each pair, and whether it is stored. Where it is not, the row is meaningless."""
+        return rows_of(receiver.astype(np.int64) << 31 | pseudonym, self.key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,15 +144,7 @@ def update_senders(
         n_right=now.n_right + n_right,
     )
     unheard[b] = False
-    return _joined(now, before.take(unheard))
-
-
-def _joined(one: KnownSenders, other: KnownSenders) -> KnownSenders:
-    columns = {
-        f.name: np.concatenate([getattr(one, f.name), getattr(other, f.name)])
-        for f in fields(one) if not f.name.startswith("n_")
-    }  # fmt: skip
-    joined = replace(one, **columns)  # type: ignore[arg-type]
+    joined = KnownSenders.concat([now, before.take(unheard)])
     return joined.take(np.argsort(joined.key, kind="stable"))
 
 

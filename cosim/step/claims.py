@@ -48,25 +48,20 @@ def claims_of(
     parts
         Components of the run.
     """
-    evidence, parts_of = parts.config.trust.evidence, []
+    evidence = parts.config.trust.evidence
+    found: list[Claims] = []
     if "missing" in evidence:
         steps = np.union1d(messages.step, exchange.now.step).tolist()
-        parts_of = [_missing(step, exchange, messages, compared, parts) for step in steps]
+        found = [_missing(step, exchange, messages, compared, parts) for step in steps]
     if "speed" in evidence:
-        parts_of.append(_speed(exchange, messages, compared, tracks, parts))
-    if not parts_of:
+        found.append(_speed(exchange, messages, compared, tracks, parts))
+    if not found:
         return None
-    columns = [np.concatenate(column) for column in zip(*parts_of, strict=True)]
-    list_, member, number, support = columns
-    order = np.lexsort((number, member, list_))
-    return Claims(list_[order], member[order], number[order], support[order])
+    claims = Claims.concat(found)
+    return claims.take(np.lexsort((claims.number, claims.member, claims.list)))
 
 
-_Found = tuple[Int[ndarray, "c"], Int[ndarray, "c"], Int[ndarray, "c"], Float[ndarray, "c"]]
-"""List, member, number and support of each claim."""
-
-
-def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared, parts: Parts) -> _Found:
+def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared, parts: Parts) -> Claims:
     """Whether messages of a step have the objects that the evaluator sees and their senders should have detected.
 
     What a sender should have detected is what stood around it in that step. A message with as many objects as
@@ -85,7 +80,7 @@ def _missing(step: int, exchange: Exchange, messages: Known, compared: Compared,
     reported = _reported(messages, then, messages.detections.message[asked.carrier[question]], body)
     support = presence_support(messages.detections.score[body] * recall[rows], reported)
     number = claim_number(messages.detections.detection_index[body], MISSING)
-    return asked.list[question], asked.carrier[question], number, support
+    return Claims(asked.list[question], asked.carrier[question], number, support)
 
 
 def _boxes_at(step: int, exchange: Exchange, messages: Known, config: Config) -> Boxes:
@@ -166,7 +161,12 @@ def absences_asked(step: int, exchange: Exchange, messages: Known, compared: Com
     )
 
 
-def _reported(messages: Known, boxes: Boxes, message: Int[ndarray, "k"], body: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+def _reported(
+    messages: Known,
+    boxes: Boxes,
+    message: Int[ndarray, "k"],
+    body: Int[ndarray, "k"],
+) -> Bool[ndarray, "k"]:
     """Whether each message has a detection at the place of the body in the same row, with boxes at one time."""
     objects = messages.objects
     row, of = expand(messages.ptr[message], messages.ptr[message + 1])
@@ -178,7 +178,7 @@ def _reported(messages: Known, boxes: Boxes, message: Int[ndarray, "k"], body: I
 
 def _speed(
     exchange: Exchange, messages: Known, compared: Compared, tracks: ObjectStates | None, parts: Parts
-) -> _Found:
+) -> Claims:
     """Whether the velocities that messages claim are those of the evaluators' own tracks.
 
     Velocities of self reports are confirmed or denied. Those of other objects are denied only: the evaluations of the
@@ -218,11 +218,15 @@ def _speed(
     tracked, support = tracked[kept], support[kept]
     of_detection = claim[tracked]
     number = claim_number(messages.detections.detection_index[of_detection], SPEED)
-    return of[at[tracked]], of_detection, number, support
+    return Claims(of[at[tracked]], of_detection, number, support)
 
 
 def _own_velocities(
-    exchange: Exchange, messages: Known, tracks: ObjectStates | None, own: Int[ndarray, "c"], list_: Int[ndarray, "c"]
+    exchange: Exchange,
+    messages: Known,
+    tracks: ObjectStates | None,
+    own: Int[ndarray, "c"],
+    list_: Int[ndarray, "c"],
 ) -> tuple[Float[ndarray, "c 2"], Float[ndarray, "c 2"], Float[ndarray, "c 2"]]:
     """Velocity of each object as the evaluator knows it, NaN if it does not; axis and variances along and across it.
 

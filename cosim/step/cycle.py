@@ -45,7 +45,15 @@ from cosim.step.reports import carrier_of, deliver_late, next_carried, update_tr
 from cosim.step.result import Sensed, StepResult
 from cosim.step.sense import identify, mislead, perceive, position, track_objects
 from cosim.step.state import State
-from cosim.step.trust import control_relays, follow_encounters, look_up, own_trust_of, publish, receive_from_rsus
+from cosim.step.trust import (
+    control_relays,
+    follow_encounters,
+    follow_senders,
+    look_up,
+    own_trust_of,
+    publish,
+    receive_from_rsus,
+)
 from cosim.traffic.driver import Beliefs, memory_s
 from cosim.world import World
 
@@ -167,8 +175,9 @@ def _cycle(
         trust, late_uplink = deliver_late(trust, exchange, (*s.carried, carrier), late, pseudonyms, parts)
         inbox = inbox.with_late(exchange, reports.late, carry_evaluations)
         reports_used = inbox.reports_used(exchange, carrier.receptions.vehicles)
+        known_senders = follow_senders(s.known_senders, exchange, listed, cpms, pseudonyms, parts)
         trust, known_senders, looked_up = look_up(
-            trust, s.known_senders, exchange, listed, known, reports_used, cpms, pseudonyms, parts
+            trust, known_senders, exchange, known, reports_used, pseudonyms, parts
         )
     with watch("fuse"):
         evaluations = inbox.evaluations_used(exchange, evaluated, len(listed.objects))

@@ -13,6 +13,7 @@ from numpy import ndarray
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import EvaluationRows
 from cosim.base.ragged import ptr_of
+from cosim.base.rows import Rows
 from cosim.config.config import Config
 from cosim.messages.content import Detections
 from cosim.step.comparing import Compared
@@ -25,7 +26,7 @@ from trust.tables import EvaluationMessages, Evaluations, ObjectLists, as_messag
 
 
 @dataclass(frozen=True, slots=True)
-class Claims:
+class Claims(Rows):
     """What vehicles find about C claims of the messages in their lists, sorted by list, member and number."""
 
     list: Int[ndarray, "c"]

@@ -11,9 +11,7 @@ from cosim.base.ragged import ptr_of, rows_of
 from cosim.messages.content import SELF, Detections
 from cosim.step.ground_truth import GroundTruth
 from trust import tables
-
-Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
-"""Two rows of detections that overlap, and their IoU; each pair once."""
+from trust.matching import Pairs
 
 
 class Uses(NamedTuple):
@@ -71,7 +69,11 @@ class Known:
     """How far the boxes have been moved by their velocities since they were sent, east and north. None if they are
     where the messages say."""
 
-    def is_new(self, receiver: Int[ndarray, "k"], detection: Int[ndarray, "k"]) -> Bool[ndarray, "k"]:
+    def is_new(
+        self,
+        receiver: Int[ndarray, "k"],
+        detection: Int[ndarray, "k"],
+    ) -> Bool[ndarray, "k"]:
         """Whether the receiver did not know each detection when it last sensed.
 
         Parameters

@@ -205,14 +205,34 @@ class LookedUp:
     """Trust of each vehicle that senses in itself, per trust variant; None if no variant asks for it."""
 
 
+def follow_senders(
+    known_senders: KnownSenders,
+    exchange: Exchange,
+    listed: Listed,
+    cpms: Broadcast,
+    pseudonyms: PseudonymState,
+    parts: Parts,
+) -> KnownSenders:
+    """Receivers that link pseudonyms themselves learn where the senders of the step's detection messages are."""
+    config = parts.config
+    if config.pseudonyms.linkage != "own":
+        return known_senders
+    return update_senders(
+        known_senders,
+        _received_senders(exchange, listed, cpms.accepted.vehicles),
+        exchange.now.begin_s,
+        config.cpm.longest_gap_s(parts.schedule.longest_steps * config.traffic.step_s),
+        lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0],
+        config.pseudonyms,
+    )
+
+
 def look_up(
     trust: TrustState,
     known_senders: KnownSenders,
     exchange: Exchange,
-    listed: Listed,
     messages: Known,
     used: Uses,
-    cpms: Broadcast,
     pseudonyms: PseudonymState,
     parts: Parts,
 ) -> tuple[TrustState, KnownSenders, LookedUp]:
@@ -222,14 +242,12 @@ def look_up(
     ----------
     trust, known_senders, pseudonyms
         Parts of the state.
-    exchange, listed
-        Vehicles of the step and their detections.
+    exchange
+        Vehicles of the step.
     messages
         Messages of the step and earlier ones.
     used
         Those that carried the evaluations, and the vehicles that use them. Only these look-ups are recorded.
-    cpms
-        The round of detection messages.
     parts
         Components of the run.
     """
@@ -242,15 +260,6 @@ def look_up(
     others = sensing.actor[further.receiver]
     of_further = _trust_in(trust, others, asked, further.message, now.fused_s, exchange, pseudonyms, parts)
     if parts.config.pseudonyms.linkage == "own":
-        received = _received_senders(exchange, listed, cpms.accepted.vehicles)
-        known_senders = update_senders(
-            known_senders,
-            received,
-            now.begin_s,
-            parts.config.cpm.longest_gap_s(parts.schedule.longest_steps * parts.config.traffic.step_s),
-            lambda pseudonym: parts.pseudonyms.owners(pseudonyms, pseudonym)[0],
-            parts.config.pseudonyms,
-        )
         known_senders, found = _of_old_pseudonyms(
             trust, known_senders, holder, asked[used.message], now.fused_s, found, parts
         )
@@ -304,12 +313,10 @@ def _of_old_pseudonyms(
     If a receiver has no trust value for the new pseudonym, it uses that of the old one.
     """
     old = np.full(len(asked), -1)
-    if len(known.receiver):
-        at = np.minimum(known.rows_of(holder, asked), len(known.receiver) - 1)
-        there = (known.receiver[at] == holder) & (known.pseudonym[at] == asked)
-        base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
-        known = noted(known, at[there], base[there])
-        old[there] = known.linked[at[there]]
+    at, there = known.rows_of(holder, asked)
+    base = found[parts.trust.host_of[0]].source != TrustSource.DEFAULT
+    known = noted(known, at[there], base[there])
+    old[there] = known.linked[at[there]]
     results = []
     for host, one in enumerate(found):
         rows = np.flatnonzero((one.source == TrustSource.DEFAULT) & (old >= 0))

@@ -315,17 +315,15 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
     if not isinstance(zips, list) or not all(isinstance(z, dict) for z in zips):
         raise ValueError(f"zip should be a list of sections [[zip]] in {where}.")
     axes: list[tuple[Keys, ...]] = []
-    for key, values in _flat(grid):
+    for key, values in config_data.leaves(grid):
         stated = _once(f"grid: {key}", _values(key, values, "grid", where), where)
         axes.append(tuple({key: value} for value in stated))
     for section in zips:
-        columns = {key: _values(key, values, "zip", where) for key, values in _flat(section)}
+        columns = {key: _values(key, values, "zip", where) for key, values in config_data.leaves(section)}
         lengths = {key: len(values) for key, values in columns.items()}
         if len(set(lengths.values())) > 1:
-            raise ValueError(
-                f"[[zip]] in {where}: values that change together must be as many of each key: "
-                + ", ".join(f"{key} has {n}" for key, n in lengths.items()) + "."
-            )  # fmt: skip
+            said = ", ".join(f"{key} has {n}" for key, n in lengths.items())
+            raise ValueError(f"[[zip]] in {where}: values that change together must be as many of each key: {said}.")
         if columns:
             together = zip(*columns.values(), strict=True)
             rows = [dict(zip(columns, row, strict=True)) for row in together]
@@ -341,17 +339,6 @@ def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
     if seeds := [key for key in names if key in ("seed", "traffic.seed")]:
         raise ValueError(f"{seeds[0]} is swept in {where}: chance is varied by study.replicates. Leave it out.")
     return tuple(axes)
-
-
-def _flat(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Dotted keys and their values, whether the keys are quoted or not."""
-    found: list[tuple[str, Any]] = []
-    for key, value in section.items():
-        if isinstance(value, Mapping):
-            found += _flat(value, f"{prefix}{key}.")
-        else:
-            found.append((prefix + key, value))
-    return found
 
 
 def _values(key: str, values: Any, section: str, where: str) -> Sequence[Any]:

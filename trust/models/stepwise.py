@@ -157,9 +157,19 @@ class Stepwise:
         if reading.uncertainty is not None:
             uncertainty = reading.uncertainty[row]
         return TrustScores(
-            now, holder, subject, reading.trust[row], uncertainty, reading.weight[row], n,
-            newest, oldest, newest.copy(), oldest.copy(), n > 0,
-        )  # fmt: skip
+            step=now,
+            holder=holder,
+            subject=subject,
+            trust=reading.trust[row],
+            uncertainty=uncertainty,
+            weight=reading.weight[row],
+            n_evaluations=n,
+            newest_step=newest,
+            oldest_step=oldest,
+            newest_evaluation_step=newest.copy(),
+            oldest_evaluation_step=oldest.copy(),
+            is_evaluated=n > 0,
+        )
 
     @property
     def rejected(self) -> Int[ndarray, "reasons"]:
