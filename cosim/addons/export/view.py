@@ -127,11 +127,9 @@ def view(
         if vehicle not in roles.index:
             some = ", ".join(map(str, roles.index[:8]))
             raise ValueError(f"--vehicle {vehicle} is none that carries a LiDAR. These do: {some}, ...")
-    config = config_of(run)
-    city = city_of(config)
     recording = _open(out, first_look(run, steps, vehicles))
     try:
-        _write(recording, out, run, config, city, steps, vehicles, clouds, progress)
+        _write(recording, out, run, steps, vehicles, clouds, progress)
         recording.flush(timeout_sec=_PATIENCE_S)
         recording.disconnect()
         _partial(out).replace(out)
@@ -264,8 +262,6 @@ def _write(  # type: ignore[no-untyped-def]
     recording,
     out: Path,
     run: Run,
-    config: Config,
-    city: Scene,
     steps: Int[ndarray, "s"],
     vehicles: Sequence[int],
     clouds: bool,
@@ -273,6 +269,8 @@ def _write(  # type: ignore[no-untyped-def]
 ) -> None:
     """Write the whole recording. An OSError is raised if the disk is nearly full, because the SDK might then hang."""
     _require_space(out)
+    config = config_of(run)
+    city = city_of(config)
     surroundings(recording, scenario_of(config), city)
     sweeper = Sweeper(run, config, city, steps)
     encounters, trust = _encounters(run), _trust(run)

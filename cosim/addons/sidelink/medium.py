@@ -79,8 +79,8 @@ class SidelinkMedium:
         end_ns = round((begin_s + self.round_s) * 1e9)
         number = len(RoundKind) * step + kind
         plan = self._plan(kind, number, begin_ns, end_ns, stations, messages)
-        after, log, busy = self._run(state, plan, links, stations, begin_ns, end_ns)
-        happened = self._happened(plan, log, links, cache, stations, messages, begin_ns, busy)
+        after, log, busy = self._run(state, plan, links, stations)
+        happened = self._happened(plan, log, busy, links, cache, stations, messages)
         return replace(after, cache=cache), happened
 
     def links(self, stations: Stations, senders: Int[ndarray, "k"] | None = None) -> LinkCache:
@@ -172,14 +172,16 @@ class SidelinkMedium:
         unit["slot"] = NEVER
         own_key = rng.key(self.seed, rng.Stream.CHANNEL, 1 + kind)
         process = rng.keys(own_key, keys[message], segment)
-        return _RoundPlan(unit, message, generated_ns, n_segments, np.repeat(payload_bytes, count), process)
+        return _RoundPlan(
+            begin_ns, end_ns, unit, message, generated_ns, n_segments, np.repeat(payload_bytes, count), process
+        )
 
     def _run(
-        self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations, begin_ns: int, end_ns: int
+        self, state: SidelinkState, plan: "_RoundPlan", links: Links, stations: Stations
     ) -> tuple[SidelinkState, SlotLog, Int[ndarray, "n"]]:
         """Carry out the slots of a round; returns the next state, the log and the busy subchannels of each station."""
         rules = self.rules
-        begin, end = begin_ns // self._slot_ns, end_ns // self._slot_ns
+        begin, end = plan.begin_ns // self._slot_ns, plan.end_ns // self._slot_ns
         station, was = stations_of(state, stations)
         process = processes_of(state.process, plan.unit, plan.process, stations)
         n_periods = begin // rules.busy_slots - (state.until - 1) // rules.busy_slots
@@ -227,17 +229,29 @@ class SidelinkMedium:
         return self.carrier.leak()
 
     def _happened(
-        self, plan: "_RoundPlan", log: SlotLog, links: Links, cache: LinkCache, stations: Stations, messages: Messages,
-        begin_ns: int, busy: Int[ndarray, "n"],
-    ) -> MessageRound:  # fmt: skip
+        self,
+        plan: "_RoundPlan",
+        log: SlotLog,
+        busy: Int[ndarray, "n"],
+        links: Links,
+        cache: LinkCache,
+        stations: Stations,
+        messages: Messages,
+    ) -> MessageRound:
         """Receptions of a round, and the outcome of each segment at every station in range."""
         unit, slot_ns = log.unit, self._slot_ns
         attempts_of = _transmissions(plan, log, links, messages, slot_ns)
         attempts = ReceptionAttempts.of(attempts_of, cache.neighbours)
         receptions, _ = complete_messages(
-            attempts_of, attempts, plan.generated_ns, plan.n_segments, np.full(len(messages), begin_ns),
-            messages.station, stations.xyz_m[:, :2], begin_ns,
-        )  # fmt: skip
+            attempts_of,
+            attempts,
+            plan.generated_ns,
+            plan.n_segments,
+            np.full(len(messages), plan.begin_ns),
+            messages.station,
+            stations.xyz_m[:, :2],
+            plan.begin_ns,
+        )
         n_sent = unit["n_sent"].astype(np.int64)
         if self.params.sidelink.n_transmissions > 1:
             _merge(log.reception, unit, np.diff(links.ptr))
@@ -276,6 +290,8 @@ def lte_mode4(params: RadioParams, round_s: float, seed: int, los: LosOfPlaces |
 class _RoundPlan:
     """What stations send in one round: U segments (units) of M messages."""
 
+    begin_ns: int
+    end_ns: int
     unit: ndarray
     message: Int[ndarray, "u"]
     generated_ns: Int[ndarray, "u"]

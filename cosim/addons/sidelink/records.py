@@ -21,19 +21,38 @@ N_HISTORY = 24
 N_USED = 10
 """Periods of the channel busy ratio over which a station's occupancy is counted."""
 
-PROCESS = np.dtype([
-    ("key", "u8"), ("station", "u8"),
-    ("next_slot", "i8"),  # of the first transmission that is reserved; NEVER without a reservation
-    ("generated", "i8"),  # slot of the latest message; NONE before the first one
-    ("gap", "i4", MAX_SENT), ("sub", "i2", MAX_SENT),  # slots after the first transmission, and first subchannels
-    ("width", "i2"), ("n_sent", "i2"), ("period", "i4"), ("counter", "i4"), ("n_missed", "i4"), ("n_draws", "u4"),
-    ("slots", "i8", N_HISTORY), ("subs", "i2", N_HISTORY), ("widths", "i2", N_HISTORY), ("n_past", "u4"),
-])  # fmt: skip
+PROCESS = np.dtype(
+    [
+        ("key", "u8"),
+        ("station", "u8"),
+        ("next_slot", "i8"),  # of the first transmission that is reserved; NEVER without a reservation
+        ("generated", "i8"),  # slot of the latest message; NONE before the first one
+        ("gap", "i4", MAX_SENT),  # slots after the first transmission
+        ("sub", "i2", MAX_SENT),  # first subchannels
+        ("width", "i2"),
+        ("n_sent", "i2"),
+        ("period", "i4"),
+        ("counter", "i4"),
+        ("n_missed", "i4"),
+        ("n_draws", "u4"),
+        ("slots", "i8", N_HISTORY),
+        ("subs", "i2", N_HISTORY),
+        ("widths", "i2", N_HISTORY),
+        ("n_past", "u4"),
+    ]
+)
 """A process: its reservation, and its latest transmissions."""
 
-STATION = np.dtype([
-    ("key", "u8"), ("busy", "i8"), ("cbr", "f8"), ("used", "i4", N_USED), ("used_now", "i4"), ("ignores", "u1"),
-])  # fmt: skip
+STATION = np.dtype(
+    [
+        ("key", "u8"),
+        ("busy", "i8"),
+        ("cbr", "f8"),
+        ("used", "i4", N_USED),
+        ("used_now", "i4"),
+        ("ignores", "u1"),
+    ]
+)
 """A station: busy subchannels of the present period, busy ratio of the period before, subchannels it has used."""
 
 RESERVATION = np.dtype([("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub", "i2"), ("width", "i2")])
@@ -42,12 +61,27 @@ RESERVATION = np.dtype([("slot", "i8"), ("last", "i8"), ("period", "i4"), ("sub"
 ENTRY = np.dtype([("reservation", "i4"), ("rsrp_mw", "f4")])
 """A reservation that a station has decoded: the row of the reservation, and the received power."""
 
-UNIT = np.dtype([
-    ("key", "u8"), ("generated", "i8"), ("deadline", "i8"), ("process", "i4"), ("station", "i4"), ("width", "i2"),
-    ("n_sent", "i2"), ("outcome", "u1"), ("announces", "u1"), ("threshold_mw", "f8"), ("sinr_db", "f8"),
-    ("spread_db", "f8"), ("clear_sinr", "f8"), ("dead_sinr", "f8"), ("slot", "i8", MAX_SENT), ("sub", "i2", MAX_SENT),
-    ("rows", "i8"),
-])  # fmt: skip
+UNIT = np.dtype(
+    [
+        ("key", "u8"),
+        ("generated", "i8"),
+        ("deadline", "i8"),
+        ("process", "i4"),
+        ("station", "i4"),
+        ("width", "i2"),
+        ("n_sent", "i2"),
+        ("outcome", "u1"),
+        ("announces", "u1"),
+        ("threshold_mw", "f8"),
+        ("sinr_db", "f8"),
+        ("spread_db", "f8"),
+        ("clear_sinr", "f8"),
+        ("dead_sinr", "f8"),
+        ("slot", "i8", MAX_SENT),
+        ("sub", "i2", MAX_SENT),
+        ("rows", "i8"),
+    ]
+)
 """A transport block of the round: what is sent, by which process, and where."""
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,7 +96,7 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     if kind == "attack":
         found.append(Finding("it does not read the truth", seen.truth))
     for law, how in _comparisons(kind).items():
-        found.append(_told(law, stage, part, told, **how))
+        found.append(_told(law, stage, part, told, how))
     if kind == "trust":
         more, seen = trust_laws.findings(stage)
         found += more
@@ -105,37 +105,50 @@ def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
     return Report(kind, name, found, cost_us)
 
 
-def _comparisons(kind: str) -> dict[str, dict[str, Any]]:
-    """Laws that compare two plays. For each law: the difference between the plays, and the cure if results differ."""
+class _Comparison(NamedTuple):
+    """A second play that differs from the first in one respect."""
+
+    says: str
+    """The difference between the plays."""
+    cure: str
+    """What to do if results differ."""
+    scene: Callable[[TinyScene], TinyScene] = lambda one: one
+    change: Callable[[Parts], Parts] | None = None
+    """Change of the parts in both plays."""
+    interrupted_at: int | None = None
+
+
+def _comparisons(kind: str) -> dict[str, _Comparison]:
+    """Laws that compare two plays."""
     part = PARTS[kind]
-    found: dict[str, dict[str, Any]] = {
-        "the same seed gives the same result": {
-            "says": "played a second time with the same seed",
-            "cure": part.draws,
-        },
-        "numbers and order of the actors change nothing": {
-            "scene": TinyScene.renumbered,
-            "says": "with other actor numbers, and the rows in their order",
-            "cure": "Read names (name_key) and positions, never row numbers or actor numbers as such.",
-        },
-        "a vehicle that one does not meet changes nothing": {
-            "scene": TinyScene.with_stranger,
-            "says": "with one more vehicle, 9 km away",
-            "cure": f"Each vehicle's result follows from what it perceives and receives. {part.draws}",
-        },
-        "it goes on from a checkpoint": {
-            "interrupted_at": INTERRUPTED_AT,
-            "says": f"interrupted and resumed before step {INTERRUPTED_AT}",
-            "cure": "Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
-        },
+    found = {
+        "the same seed gives the same result": _Comparison(
+            says="played a second time with the same seed",
+            cure=part.draws,
+        ),
+        "numbers and order of the actors change nothing": _Comparison(
+            scene=TinyScene.renumbered,
+            says="with other actor numbers, and the rows in their order",
+            cure="Read names (name_key) and positions, never row numbers or actor numbers as such.",
+        ),
+        "a vehicle that one does not meet changes nothing": _Comparison(
+            scene=TinyScene.with_stranger,
+            says="with one more vehicle, 9 km away",
+            cure=f"Each vehicle's result follows from what it perceives and receives. {part.draws}",
+        ),
+        "it goes on from a checkpoint": _Comparison(
+            interrupted_at=INTERRUPTED_AT,
+            says=f"interrupted and resumed before step {INTERRUPTED_AT}",
+            cure="Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
+        ),
     }
     if not part.sees_truth and kind != "attack":
-        found["it does not read the truth"] = {
-            "scene": TinyScene.with_other_attackers,
-            "change": play.with_harmless_attackers,
-            "says": "with other vehicles as attackers, all of which do nothing",
-            "cure": "Who attacks is known to the tables alone: leave `attack` and all that is called truth unread.",
-        }
+        found["it does not read the truth"] = _Comparison(
+            scene=TinyScene.with_other_attackers,
+            change=play.with_harmless_attackers,
+            says="with other vehicles as attackers, all of which do nothing",
+            cure="Who attacks is known to the tables alone: leave `attack` and all that is called truth unread.",
+        )
     return found
 
 
@@ -144,19 +157,16 @@ def _told(
     stage: Stage,
     part: PartKind,
     told: list[Table],
-    says: str,
-    cure: str,
-    scene: Callable[[TinyScene], TinyScene] = lambda one: one,
-    change: Callable[[Parts], Parts] | None = None,
-    interrupted_at: int | None = None,
+    other: _Comparison,
 ) -> Finding:
-    """Check a law by comparison with a second play that differs in one respect."""
+    """Check a law: play once more with this one difference. `told` are the results of the first play."""
+    change, says, cure = other.change, other.says, other.cure
     if change is not None:
         stage, told = replace(stage, change=lambda parts: change(part.change(parts))), []
 
     def compared(one: TinyScene, n_steps: int, first: list[Table]) -> tuple[int, str]:
         first = first or stage.play(one, part.tell, n_steps)
-        return first_difference(first, stage.play(scene(one), part.tell, n_steps, interrupted_at))
+        return first_difference(first, stage.play(other.scene(one), part.tell, n_steps, other.interrupted_at))
 
     actors = list(TinyScene().actors)
     try:
