@@ -66,6 +66,12 @@ class World:
     def take(self, rows: Int[ndarray, "k"]) -> "World":
         """The actors in these rows, ascending, without the lanes ahead of them."""
         return World(
-            self.step, self.actor[rows], self.name_key[rows], self.shape[rows], self.boxes.take(rows),
-            self.speed_mps[rows], self.equipped[rows], self.attack[rows],
-        )  # fmt: skip
+            step=self.step,
+            actor=self.actor[rows],
+            name_key=self.name_key[rows],
+            shape=self.shape[rows],
+            boxes=self.boxes.take(rows),
+            speed_mps=self.speed_mps[rows],
+            equipped=self.equipped[rows],
+            attack=self.attack[rows],
+        )

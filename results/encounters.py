@@ -240,7 +240,10 @@ class EncounterTracker:
         self._count("messages", at, sender, receiver, np.zeros(0, np.int64))
 
     def count_evaluations(
-        self, evaluator: Int[ndarray, "n"], observer: Int[ndarray, "n"], n: Int[ndarray, "n"]
+        self,
+        evaluator: Int[ndarray, "n"],
+        observer: Int[ndarray, "n"],
+        n: Int[ndarray, "n"],
     ) -> None:
         """Add evaluations. Those between two actors without an encounter under way are left out.
 
@@ -271,7 +274,12 @@ class EncounterTracker:
         names = [f"n_{what}_{way}{when}" for when in ("", "_later") for way in ("ab", "ba")]
         encounter_counts.count(at, one, other, n, in_contact, *(live[name] for name in names))
 
-    def note_trust(self, holder: Int[ndarray, "n"], other: Int[ndarray, "n"], looked_up: Bool[ndarray, "n v"]) -> None:
+    def note_trust(
+        self,
+        holder: Int[ndarray, "n"],
+        other: Int[ndarray, "n"],
+        looked_up: Bool[ndarray, "n v"],
+    ) -> None:
         """Note that trust with evidence is looked up in this step. Only the first time in an encounter counts.
 
         Two actors without an encounter under way are left out.
@@ -370,7 +378,12 @@ class EncounterTracker:
         shape = (n, self.n_variants)
         return flat | {name: np.zeros(shape, dtype) for name, dtype in _TRUST.items()}
 
-    def _merge(self, keep: Bool[ndarray, "live"], pair: Int[ndarray, "k"], opened: dict[str, ndarray]) -> None:
+    def _merge(
+        self,
+        keep: Bool[ndarray, "live"],
+        pair: Int[ndarray, "k"],
+        opened: dict[str, ndarray],
+    ) -> None:
         """Drop encounters that are over, let new ones in, stay sorted."""
         if keep.all() and not len(pair):
             return
@@ -464,7 +477,7 @@ class EncounterTracker:
             "los_share": live["n_los"] / np.maximum(live["n"], 1),
             **{name: live[name] for name in _COUNTERS},
             **trust,
-        }  # fmt: skip
+        }
 
 
 ENCOUNTER_KEY = ("a", "b", "start_step", "radius_m", "pairs", "hysteresis_s", "los", "pedestrians")

@@ -155,7 +155,11 @@ def _has_value(run: Run, metric: Metric) -> bool:
     return metric.counts or all(run.n_rows(table) for table in metric.needs)
 
 
-def _answer(run: Run, metric: Metric, options: Mapping[str, Any]) -> Sequence[Mapping[Any, Any]]:
+def _answer(
+    run: Run,
+    metric: Metric,
+    options: Mapping[str, Any],
+) -> Sequence[Mapping[Any, Any]]:
     """The rows among which those of a metric are."""
     ask = loaded(metric.source)
     wanted = signature(ask).parameters

@@ -245,7 +245,8 @@ def _dictionary(run: Run) -> str:
         here = "" if name in run.tables else f" (not in this run: kept from record level {table.level} up)"
         parts.append(
             f"<details><summary>{name}{here}</summary><p>{_code(table.meaning)}</p><div class='wide'><table>"
-            f"<tr><th>column</th><th>type</th><th>unit</th><th>key</th><th>meaning</th></tr>{rows}</table></div></details>"
+            "<tr><th>column</th><th>type</th><th>unit</th><th>key</th><th>meaning</th></tr>"
+            f"{rows}</table></div></details>"
         )
     return "".join(parts)
 

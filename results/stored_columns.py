@@ -127,7 +127,10 @@ def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[st
 
 
 def given_rows(
-    table: str, step: int, columns: Mapping[str, ndarray | None], known: Mapping[str, StoredColumn]
+    table: str,
+    step: int,
+    columns: Mapping[str, ndarray | None],
+    known: Mapping[str, StoredColumn],
 ) -> dict[str, ndarray]:
     """Copies of a caller's columns, complete, not yet in the types in which they are stored.
 

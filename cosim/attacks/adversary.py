@@ -262,7 +262,13 @@ class Adversary:
     def _members(self, world: World, number: int) -> Bool[ndarray, "n"]:
         return world.equipped & (world.attack == self.owner[number] + 1)
 
-    def _rings(self, state: AttackState, world: World, number: int, member: Bool[ndarray, "n"]) -> Int[ndarray, "n"]:
+    def _rings(
+        self,
+        state: AttackState,
+        world: World,
+        number: int,
+        member: Bool[ndarray, "n"],
+    ) -> Int[ndarray, "n"]:
         """Ring of each member. Members that are new get the next ranks: `ring_size` successive ranks are a ring."""
         size = self.params[number].ring_size
         if not size:

@@ -130,11 +130,13 @@ class RandomEvaluations(_WithIdentities[IdentitiesParams]):
         at = np.flatnonzero(chosen)
         detection = rows.detection[at]
         draws = context.uniforms(
-            context.name_key(rows.evaluator[at]), context.name_key(detections.observer[detection]),
-            detections.identity[detection], detections.detection_index[detection],
-        )[:, 0]  # fmt: skip
+            context.name_key(rows.evaluator[at]),
+            context.name_key(detections.observer[detection]),
+            detections.identity[detection],
+            detections.detection_index[detection],
+        )
         drawn = np.zeros(len(chosen))
-        drawn[at] = 2.0 * draws - 1.0
+        drawn[at] = 2.0 * draws[:, 0] - 1.0
         return _falsified(rows, chosen, drawn)
 
 
@@ -223,7 +225,11 @@ def _joined(past: list, like: tuple[ndarray, ...]) -> list[ndarray]:
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
-def _one_of(old: UInt64[ndarray, "o c"], key: UInt64[ndarray, "k c"], draw: Float[ndarray, "k"]) -> Int[ndarray, "k"]:
+def _one_of(
+    old: UInt64[ndarray, "o c"],
+    key: UInt64[ndarray, "k c"],
+    draw: Float[ndarray, "k"],
+) -> Int[ndarray, "k"]:
     """For each key, a row of `old` that equals it, chosen by a uniform in [0, 1); -1 if there is none."""
     _, which = np.unique(np.concatenate([old, key]), axis=0, return_inverse=True)
     group, wanted = np.split(which.reshape(-1), [len(old)])

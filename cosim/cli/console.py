@@ -117,10 +117,15 @@ def progress() -> Iterator[Callable[[str, int, int, str], None]]:
     )
 
     bar = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("{task.fields[left]}"), TextColumn("{task.fields[note]}"), console=notes,
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[left]}"),
+        TextColumn("{task.fields[note]}"),
+        console=notes,
         disable=not notes.is_terminal,
-    )  # fmt: skip
+    )
     tasks: dict[str, Any] = {}
     begun: dict[str, tuple[int, float]] = {}
 

@@ -33,7 +33,7 @@ from cosim.cli.console import (
     progress,
     screen,
     with_preset,
-)  # fmt: skip
+)
 from cosim.cli.files import refuse_other_than_config
 from cosim.cli.help import MORE, Commands, in_groups
 from cosim.cli.nets import nets

@@ -65,7 +65,11 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
         print_table(_side_by_side(labels, tables, keys))
 
 
-def _one_table(runs: list[Run], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> pd.DataFrame:
+def _one_table(
+    runs: list[Run],
+    tables: list[pd.DataFrame],
+    keys: dict[str, list[Any]],
+) -> pd.DataFrame:
     """All tables one after another, with columns in front that say the run and the keys in which the runs differ."""
     parts = []
     for number, (run, table) in enumerate(zip(runs, tables, strict=True)):
@@ -87,7 +91,11 @@ def remarks(runs: list[Run]) -> Iterator[str]:
         yield f"note: the runs have one traffic.duration_s, but simulated {said} s: counts and times grow with that."
 
 
-def _side_by_side(labels: list[str], tables: list[pd.DataFrame], keys: dict[str, list[Any]]) -> Table:
+def _side_by_side(
+    labels: list[str],
+    tables: list[pd.DataFrame],
+    keys: dict[str, list[Any]],
+) -> Table:
     """A row per metric and group, a column per run; metrics of one kind stand together, in the order of the tables."""
     head = [Column(label, justify="right", no_wrap=True, min_width=7, overflow="fold") for label in labels]
     table = Table(Column("metric", overflow="fold"), Column("group", overflow="fold"), *head, box=SIMPLE)

@@ -146,11 +146,16 @@ def cache(
         limit_gb = 0.0
     gone = [] if limit_gb is None else kept.shrink(limit_gb, set())
     entries = kept.entries()
-    rows = [
-        {"stage": e.stage, "name": e.name, "MB": round(e.bytes / 1e6, 2), "seconds": e.seconds,
-         "last used": datetime.fromtimestamp(e.used_s).isoformat(" ", "seconds")}
-        for e in entries
-    ]  # fmt: skip
+    rows: list[dict[str, Any]] = []
+    for entry in entries:
+        row = {
+            "stage": entry.stage,
+            "name": entry.name,
+            "MB": round(entry.bytes / 1e6, 2),
+            "seconds": entry.seconds,
+            "last used": datetime.fromtimestamp(entry.used_s).isoformat(" ", "seconds"),
+        }
+        rows.append(row)
     if as_json:
         print_json({"folder": str(kept.path), "entries": rows, "deleted": len(gone)})
         return
@@ -323,7 +328,13 @@ _CURVES = {"durations": "encounters", "ages": "ages"}
 
 
 def plot(
-    topic: str, folder: Path, out: Path | None, over: str | None, by: str | None, metrics: list[str], where: list[str]
+    topic: str,
+    folder: Path,
+    out: Path | None,
+    over: str | None,
+    by: str | None,
+    metrics: list[str],
+    where: list[str],
 ) -> None:
     """Draw a figure of a study."""
     from results.figures import study as figure
@@ -454,7 +465,4 @@ def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:
     for id, attempt in failed:
         log = out / "jobs" / id / "log.txt"
         log = log if log.is_file() else out / "traffic" / f"{id}.log"
-        screen.print(
-            f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}",
-            soft_wrap=True,
-        )  # fmt: skip
+        screen.print(f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}", soft_wrap=True)

@@ -417,7 +417,11 @@ def _begin_together(attacks: Any) -> None:
             section.setdefault("start_s", first["start_s"])
 
 
-def _take_own_of_all(data: dict[str, Any], where: str, folder: Path | None) -> dict[str, dict[str, Any]]:
+def _take_own_of_all(
+    data: dict[str, Any],
+    where: str,
+    folder: Path | None,
+) -> dict[str, dict[str, Any]]:
     """Remove the parameters of chosen classes that their sections do not declare; returns them as `Config.own`.
 
     Values of a wrong type are left for the checks that follow.
@@ -517,7 +521,11 @@ def _variants(
 
 
 def _variant(
-    section: dict[str, Any], trust: dict[str, Any], place: str, where: str, folder: Path | None
+    section: dict[str, Any],
+    trust: dict[str, Any],
+    place: str,
+    where: str,
+    folder: Path | None,
 ) -> TrustVariant:
     """Build a trust variant, `place` in the config, which inherits the keys `trust`."""
     changes = dict(section)
@@ -535,7 +543,13 @@ def _variant(
     return TrustVariant(name=name, fused=fused, changes=changes, trust=params, own=own)
 
 
-def _take_own(section: dict[str, Any], name: str, declared: Any, where: str, folder: Path | None) -> dict[str, Any]:
+def _take_own(
+    section: dict[str, Any],
+    name: str,
+    declared: Any,
+    where: str,
+    folder: Path | None,
+) -> dict[str, Any]:
     """Remove the chosen class's own parameters from a section, check them and return them.
 
     `declared` is the dataclass of the section. The name of the class in the section becomes absolute.

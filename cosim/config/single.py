@@ -8,7 +8,11 @@ from cosim.door.kinds import KINDS
 from cosim.door.load import Choice, resolve
 
 
-def from_command_line(kind: str, name: str, sets: Sequence[str] = ()) -> tuple[Choice, tuple[Any, ...]]:
+def from_command_line(
+    kind: str,
+    name: str,
+    sets: Sequence[str] = (),
+) -> tuple[Choice, tuple[Any, ...]]:
     """The class that a name on the command line refers to, and the arguments of its constructor.
 
     Parameters

@@ -71,8 +71,10 @@ def build(out: Path) -> None:
         (work / "docs" / at).parent.mkdir(parents=True, exist_ok=True)
         (work / "docs" / at).write_text(equations.rendered(text), encoding="utf-8")
     shutil.copytree(ROOT / "results" / "pictures", work / "docs" / "pictures")
-    shutil.copytree(ROOT / "sensors" / "profiles", work / "docs" / "models" / "profiles",
-                    ignore=lambda folder, names: [n for n in names if not n.endswith(".png")])  # fmt: skip
+    profiles = work / "docs" / "models" / "profiles"
+    profiles.mkdir(parents=True)
+    for picture in (ROOT / "sensors" / "profiles").glob("*.png"):
+        shutil.copy(picture, profiles)
     shutil.copy(HERE / CONFIG, work / CONFIG)
     for name in ("site.css", "iframe-worker.js"):
         shutil.copy(HERE / name, work / "docs" / name)

@@ -218,9 +218,15 @@ class Scms(_WithParams[ScmsParams]):
 
 
 POLICIES: Mapping[str, type] = {
-    "none": Never, "periodical": Periodical, "disposable": Disposable, "distance": Distance, "random": Random,
-    "c2c": C2c, "bsp": Bsp, "scms": Scms,
-}  # fmt: skip
+    "none": Never,
+    "periodical": Periodical,
+    "disposable": Disposable,
+    "distance": Distance,
+    "random": Random,
+    "c2c": C2c,
+    "bsp": Bsp,
+    "scms": Scms,
+}
 """Classes of the included policies, by their name in the config."""
 
 

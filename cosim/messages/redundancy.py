@@ -220,7 +220,11 @@ def _by_class(xy_m: Float[ndarray, "n 2"], label: Int[ndarray, "n"]) -> scipy.sp
     return scipy.spatial.cKDTree(np.column_stack([xy_m, _FAR_M * label]))
 
 
-def _rows_of(heard: Heard, receiver: Int[ndarray, "p"], message: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
+def _rows_of(
+    heard: Heard,
+    receiver: Int[ndarray, "p"],
+    message: Int[ndarray, "p"],
+) -> Int[ndarray, "p"]:
     """Row of the reception of each message by each receiver; -1 if it was not received."""
     n = len(heard.reports.time_s)
     known = heard.receiver * n + heard.message

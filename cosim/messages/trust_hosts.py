@@ -34,10 +34,19 @@ from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustS
 
 T = TypeVar("T")
 
-FUSION_KEYS = frozenset({
-    "method", "plausibility_in_fusion", "blind_points", "self_report_poses", "min_score", "code_parity",
-    "code_aggregate", "ego_trust", "ego_trust_from",
-})  # fmt: skip
+FUSION_KEYS = frozenset(
+    {
+        "method",
+        "plausibility_in_fusion",
+        "blind_points",
+        "self_report_poses",
+        "min_score",
+        "code_parity",
+        "code_aggregate",
+        "ego_trust",
+        "ego_trust_from",
+    }
+)
 """Keys of [trust] about the use of trust. Variants that differ only in these keys share one host."""
 
 
@@ -402,11 +411,11 @@ class TrustHosts:
 
     def receive(self, state: TrustState, present: Int[ndarray, "e"], time_s: float) -> TrustState:
         """Deliver broadcasts that have arrived by `time_s` to the vehicles on the road, `present` (ascending)."""
-        hosts = [
-            replace(host, downlink=self.downlink.receive(host.downlink, present, time_s))
-            if params.host == "central" else host
-            for host, params in zip(state.hosts, self.params, strict=True)
-        ]  # fmt: skip
+        hosts = list(state.hosts)
+        for number, params in enumerate(self.params):
+            if params.host == "central":
+                downlink = self.downlink.receive(hosts[number].downlink, present, time_s)
+                hosts[number] = replace(hosts[number], downlink=downlink)
         return TrustState(hosts, state.uplink)
 
     def lookup(

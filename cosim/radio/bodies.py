@@ -43,7 +43,10 @@ class Bodies:
 
 
 def tallest_blocker_m(
-    xyz_m: Float[ndarray, "n 3"], a: Int[ndarray, "m"], b: Int[ndarray, "m"], bodies: Bodies
+    xyz_m: Float[ndarray, "n 3"],
+    a: Int[ndarray, "m"],
+    b: Int[ndarray, "m"],
+    bodies: Bodies,
 ) -> Float[ndarray, "m"]:
     """Height of the tallest body whose footprint the line between two antennas crosses, above its street [m].
 

@@ -43,9 +43,11 @@ class DccParams:
     def __post_init__(self) -> None:
         bounds, gaps = self.cbr_bounds, self.t_off_s
         increases = list(bounds) == sorted(set(bounds))
-        if len(bounds) != 4 or not increases or not 0 < bounds[0] <= bounds[-1] <= 1:
+        in_range = all(0 < bound <= 1 for bound in bounds)
+        if len(bounds) != 4 or not increases or not in_range:
             raise ValueError(f"radio.dcc.cbr_bounds = {bounds} must be four increasing busy ratios in (0, 1].")
-        if len(gaps) != 5 or list(gaps) != sorted(gaps) or not 0 <= gaps[0] <= gaps[-1] <= 60:
+        in_range = all(0 <= gap <= 60 for gap in gaps)
+        if len(gaps) != 5 or list(gaps) != sorted(gaps) or not in_range:
             raise ValueError(f"radio.dcc.t_off_s = {gaps} must be five times [s] from 0 to 60 that do not decrease.")
 
 

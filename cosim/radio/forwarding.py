@@ -25,10 +25,19 @@ from cosim.radio.event_heap import push
 TIMER = 4
 """Kind of event: a contention timer expires. It comes after all other events of the same time."""
 
-UNIT = np.dtype([
-    ("seq", "u8"), ("airtime_ns", "i8"), ("key", "u8"), ("message", "i4"), ("source", "i4"), ("number", "i4"),
-    ("payload_bytes", "i4"), ("generated_ns", "i8"), ("end_ns", "i8"),
-])  # fmt: skip
+UNIT = np.dtype(
+    [
+        ("seq", "u8"),
+        ("airtime_ns", "i8"),
+        ("key", "u8"),
+        ("message", "i4"),
+        ("source", "i4"),
+        ("number", "i4"),
+        ("payload_bytes", "i4"),
+        ("generated_ns", "i8"),
+        ("end_ns", "i8"),
+    ]
+)
 """A segment of a message. What cannot be transmitted by `end_ns` is neither sent nor forwarded."""
 FRAME = np.dtype([("unit", "i4"), ("transmitter", "i4"), ("hop", "i4")])
 COPY = np.dtype([("due_ns", "i8"), ("unit", "i4"), ("station", "i4"), ("hop", "i4"), ("waits", "u1")])

@@ -103,7 +103,11 @@ class Messages:
     def __len__(self) -> int:
         return len(self.station)
 
-    def segments(self, sent: Int[ndarray, "k"], frame_bytes: int) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
+    def segments(
+        self,
+        sent: Int[ndarray, "k"],
+        frame_bytes: int,
+    ) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"]]:
         """Number of frames of these messages, and the length of each frame [B], as `segmentation.segments`."""
         envelope = ENVELOPE_BYTES if self.envelope_bytes is None else self.envelope_bytes[sent]
         return segments(self.length_bytes[sent], envelope, frame_bytes)

@@ -76,9 +76,10 @@ class SidelinkParams:
             _refuse("radio.sidelink.counter", self.counter, "must be two whole numbers from 1 to 75 that do not fall.")
         if not -128 <= self.rsrp_threshold_dbm <= 0 or self.rsrp_threshold_dbm % 2:
             _refuse(
-                "radio.sidelink.rsrp_threshold_dbm", f"{self.rsrp_threshold_dbm} dBm",
+                "radio.sidelink.rsrp_threshold_dbm",
+                f"{self.rsrp_threshold_dbm} dBm",
                 "is none of the standard's values. Use an even number from -128 to 0.",
-            )  # fmt: skip
+            )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -109,9 +110,10 @@ class NrParams:
         _one_of("radio.nr.control_rbs", self.control_rbs, (10, 12, 15, 20, 25))
         if self.control_rbs > self.subchannel_rbs:
             _refuse(
-                "radio.nr.control_rbs", self.control_rbs,
+                "radio.nr.control_rbs",
+                self.control_rbs,
                 f"is more than a subchannel (radio.nr.subchannel_rbs = {self.subchannel_rbs}). Set it lower.",
-            )  # fmt: skip
+            )
 
     def carrier(self) -> Carrier:
         """The carrier. Raises ValueError if no subchannel fits, or if the largest transport block is too small."""
@@ -119,9 +121,14 @@ class NrParams:
         if self.subchannel_rbs > n_rbs:
             _too_wide("radio.nr", self.subchannel_rbs, n_rbs)
         carrier = nr_carrier(
-            self.bandwidth_mhz, self.scs_khz, self.subchannel_rbs, self.mcs, self.dmrs, self.control_symbols,
+            self.bandwidth_mhz,
+            self.scs_khz,
+            self.subchannel_rbs,
+            self.mcs,
+            self.dmrs,
+            self.control_symbols,
             self.control_rbs,
-        )  # fmt: skip
+        )
         _check_size("radio.nr", carrier, self.mcs)
         return carrier
 
@@ -153,18 +160,20 @@ class LteParams:
 
 def _too_wide(section: str, rbs: int, n_rbs: int) -> None:
     _refuse(
-        f"{section}.subchannel_rbs", rbs,
+        f"{section}.subchannel_rbs",
+        rbs,
         f"is more than the {n_rbs} resource blocks of the carrier. Set it lower, or {section}.bandwidth_mhz higher.",
-    )  # fmt: skip
+    )
 
 
 def _check_size(section: str, carrier: Carrier, mcs: int) -> None:
     if carrier.largest_bytes < SMALLEST_BYTES:
         _refuse(
-            f"{section}.mcs", mcs,
+            f"{section}.mcs",
+            mcs,
             f"leaves {max(carrier.largest_bytes, 0)} bytes in the whole pool; a message needs {SMALLEST_BYTES}. "
             f"Set {section}.mcs or {section}.bandwidth_mhz higher.",
-        )  # fmt: skip
+        )
 
 
 def check(model: str, sidelink: SidelinkParams, nr: NrParams, lte: LteParams, max_hops: int) -> None:
@@ -179,34 +188,38 @@ def check(model: str, sidelink: SidelinkParams, nr: NrParams, lte: LteParams, ma
         return
     if max_hops > 1:
         _refuse(
-            "radio.relay.max_hops", max_hops,
+            "radio.relay.max_hops",
+            max_hops,
             f'needs radio.model = "csma" or "unit_disk": there is no forwarding with "{model}".',
-        )  # fmt: skip
+        )
     is_nr = model == "nr_mode2"
     carrier = nr.carrier() if is_nr else lte.carrier()
     slots = sidelink.window_s * 1000 * carrier.slots_per_ms
     least = 1 if is_nr else 20
     if abs(slots - round(slots)) > 1e-6 or slots < least:
         _refuse(
-            "radio.sidelink.window_s", f"{sidelink.window_s:g} s",
+            "radio.sidelink.window_s",
+            f"{sidelink.window_s:g} s",
             f"must be a whole number of slots of {1 / carrier.slots_per_ms:g} ms, at least {least}.",
-        )  # fmt: skip
+        )
     if not is_nr and (slots > 100 or sidelink.n_transmissions > 2 or sidelink.share != 0.2):
         _refuse(
-            "radio.model", f'"{model}"',
+            "radio.model",
+            f'"{model}"',
             "allows radio.sidelink.window_s up to 0.1, radio.sidelink.n_transmissions up to 2 and radio.sidelink.share "
             "= 0.2 only. Change them, or use nr_mode2.",
-        )  # fmt: skip
+        )
     if sidelink.reservation_s is not None:
         period_ms = 1000 * sidelink.reservation_s
         allowed = allowed_ms(is_nr)
         if abs(period_ms - round(period_ms)) > 1e-6 or round(period_ms) not in allowed:
             _refuse(
-                "radio.sidelink.reservation_s", f"{sidelink.reservation_s:g} s",
+                "radio.sidelink.reservation_s",
+                f"{sidelink.reservation_s:g} s",
                 "is no interval of the standard: use "
                 + ("0.001 to 0.1 in steps of 0.001" if is_nr else "0.02, 0.05, 0.1")
                 + ", or 0.2 to 1 in steps of 0.1.",
-            )  # fmt: skip
+            )
 
 
 def allowed_ms(is_nr: bool) -> set[int]:

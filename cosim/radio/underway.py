@@ -15,16 +15,31 @@ from cosim.base.ragged import rows_of
 from cosim.radio.dtypes import NONE
 from cosim.radio.forwarding import COPY, UNIT
 
-MESSAGE = np.dtype([
-    ("name", "i8"), ("step", "i8"), ("begin_ns", "i8"), ("end_ns", "i8"), ("n_segments", "i4"),
-    ("station", "i4"), ("kind", "u1"), ("is_background", "?"),
-])  # fmt: skip
+MESSAGE = np.dtype(
+    [
+        ("name", "i8"),
+        ("step", "i8"),
+        ("begin_ns", "i8"),
+        ("end_ns", "i8"),
+        ("n_segments", "i4"),
+        ("station", "i4"),
+        ("kind", "u1"),
+        ("is_background", "?"),
+    ]
+)
 """A message: the caller's name for it, its round, the time from which on it is too old, and its sender."""
 
-SENT_FRAME = np.dtype([
-    ("start_ns", "i8"), ("end_ns", "i8"), ("unit", "i4"), ("transmitter", "i4"),
-    ("hop", "i4"), ("on_air", "?"), ("is_decided", "?"),
-])  # fmt: skip
+SENT_FRAME = np.dtype(
+    [
+        ("start_ns", "i8"),
+        ("end_ns", "i8"),
+        ("unit", "i4"),
+        ("transmitter", "i4"),
+        ("hop", "i4"),
+        ("on_air", "?"),
+        ("is_decided", "?"),
+    ]
+)
 """A frame of such a message. It is decided when it has been sent, or when it never will be."""
 
 

@@ -65,9 +65,10 @@ def _slots(of: type) -> dict[str, types.MemberDescriptorType]:
     """Fields of a class that are stored in slots."""
     return {
         name: member
-        for base in reversed(of.__mro__) for name, member in vars(base).items()
+        for base in reversed(of.__mro__)
+        for name, member in vars(base).items()
         if isinstance(member, types.MemberDescriptorType) and not issubclass(base, BaseException)
-    }  # fmt: skip
+    }
 
 
 def _described(dtype: np.dtype) -> Any:

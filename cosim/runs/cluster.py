@@ -55,11 +55,14 @@ def local(n_threads: int) -> Iterator[Client]:
         closing_quietly(),
         dask.config.set({"distributed.scheduler.worker-ttl": None}),
         LocalCluster(
-            n_workers=1, threads_per_worker=n_threads, processes=False, memory_limit=0,
+            n_workers=1,
+            threads_per_worker=n_threads,
+            processes=False,
+            memory_limit=0,
             dashboard_address="127.0.0.1:0",
         ) as cluster,
         Client(cluster) as client,
-    ):  # fmt: skip
+    ):
         yield client
 
 

@@ -419,7 +419,11 @@ def _receptions(recorder: TakesRows, now_step: int, sensed: Sensed) -> None:
         recorder.append("receptions", now_step, _of(message_type, rows))
 
 
-def _first_copies(sender: Int[ndarray, "n"], step: Int[ndarray, "n"], found: Receptions) -> Int[ndarray, "k"]:
+def _first_copies(
+    sender: Int[ndarray, "n"],
+    step: Int[ndarray, "n"],
+    found: Receptions,
+) -> Int[ndarray, "k"]:
     """Rows of the first reception of each message at each receiver: a sender may send copies, and they may be late."""
     order = np.argsort(found.latency_s, kind="stable")
     for key in (found.receiver, step, sender):  # in the end by sender, step, receiver, latency

@@ -46,9 +46,12 @@ from results.verify import links
 
 
 def run(
-    config: Config, out: Path | None, advance: Advance, traffic_from: Path | None = None,
+    config: Config,
+    out: Path | None,
+    advance: Advance,
+    traffic_from: Path | None = None,
     on_step: OnStep | None = None,
-) -> Path:  # fmt: skip
+) -> Path:
     """Run an experiment into a folder.
 
     Nothing is written before the config has been checked and SUMO has accepted the scenario.
@@ -197,9 +200,8 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
             recorder.reach(number)
             manifest.steps = number + 1
             advance("traffic", number + 1, config.n_steps, f"steps, {len(world)} actors")
-        recorder.close({"vehicles": [
-            recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker(), config.schedule)
-        ]})  # fmt: skip
+        vehicles = recording.vehicle_rows(registry, np.zeros(1, np.uint8), AttackStartTracker(), config.schedule)
+        recorder.close({"vehicles": [vehicles]})
         manifest.timings_s, manifest.summary = watch.seconds, traffic.report()
     finally:
         traffic.close()

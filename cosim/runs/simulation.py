@@ -209,8 +209,9 @@ class SimulatedStep:
         sensed = self.result.sensed
         row = np.flatnonzero(self.sensing == vehicle)
         if sensed is None or not len(row):
-            raise ValueError(f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, "
-                             "where there are any.")  # fmt: skip
+            raise ValueError(
+                f"vehicle {vehicle} has no sweep in step {self.step}: name one of step.sensing, where there are any."
+            )
         sweeps = sensed.positioned.observed.sweeps
         images, observer = sweeps, int(row[0])
         if isinstance(sweeps, MixedImages):
@@ -271,13 +272,12 @@ class SimulatedStep:
         columns = recording.detection_columns(self.result.world, known, known.pseudonym[by])
         detections = self._frame("detections", columns)
         detections = detections.assign(step=known.step[by]).set_index(["step", "observer", "detection_index"])
+        pose = frame.pose.where(moved, frame.source)
+        pose_index = frame.pose_index.where(moved, frame.source_index)
         named = {
             "source": pd.MultiIndex.from_frame(frame[["source_step", "source", "source_index"]]),
-            "pose": pd.MultiIndex.from_arrays([
-                frame.pose_step, frame.pose.where(moved, frame.source),
-                frame.pose_index.where(moved, frame.source_index),
-            ]),
-        }  # fmt: skip
+            "pose": pd.MultiIndex.from_arrays([frame.pose_step, pose, pose_index]),
+        }
         for name, column in TABLES["fused"].columns.items():
             if column.via:
                 frame[name] = detections[name].reindex(named[column.via]).array

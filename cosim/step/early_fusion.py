@@ -94,7 +94,12 @@ class Clouds:
             untold=self.untold,
         )
 
-    def with_late(self, step: Int[ndarray, "l"], sender: Int[ndarray, "l"], receiver: Int[ndarray, "l"]) -> "Clouds":
+    def with_late(
+        self,
+        step: Int[ndarray, "l"],
+        sender: Int[ndarray, "l"],
+        receiver: Int[ndarray, "l"],
+    ) -> "Clouds":
         """The clouds of these steps and senders have been received by more vehicles, in rows of their own."""
         kept = self.step << 32 | self.sender
         row, is_kept = rows_of(step << 32 | sender, kept)

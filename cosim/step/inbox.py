@@ -101,7 +101,11 @@ class Inbox:
                 inbox = replace(inbox, reports=_with_new(inbox.reports, more, len(self.step)))
         return inbox
 
-    def rows(self, step: Int[ndarray, "m"], sender: Int[ndarray, "m"]) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
+    def rows(
+        self,
+        step: Int[ndarray, "m"],
+        sender: Int[ndarray, "m"],
+    ) -> tuple[Int[ndarray, "m"], Bool[ndarray, "m"]]:
         """Rows of messages by their steps and senders, and which of them are there."""
         oldest = int(self.step[0]) if len(self.step) else 0
         held = (self.step - oldest << 48) + self.sender

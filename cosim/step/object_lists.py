@@ -14,7 +14,10 @@ from trust.tables import ObjectLists
 
 
 def received_lists(
-    received: Uses, ptr: Int[ndarray, "m+1"], transmitted: Bool[ndarray, "d"], own: Int[ndarray, "s"]
+    received: Uses,
+    ptr: Int[ndarray, "m+1"],
+    transmitted: Bool[ndarray, "d"],
+    own: Int[ndarray, "s"],
 ) -> ObjectLists:
     """The detections that each vehicle knows: its own ones, then the received ones, by (message, detection index).
 

@@ -238,10 +238,10 @@ def _variant(name: str, trust: TrustParams, choice: Choice, own: Any, fused: boo
 
 def chosen(experiment: Config) -> dict[str, Choice]:
     """The class behind every choice of a config, by key."""
-    found = {
-        kind.place: config.chosen(experiment, section)[0]
-        for section, kind in SECTIONS.items() if section != "attacks"
-    }  # fmt: skip
+    found: dict[str, Choice] = {}
+    for section, kind in SECTIONS.items():
+        if section != "attacks":
+            found[kind.place] = config.chosen(experiment, section)[0]
     for number in range(len(experiment.attacks)):
         found[f"attacks.{number}.attack"] = config.chosen(experiment, "attacks", number)[0]
     for number, variant in enumerate(experiment.trust_variant):

@@ -36,16 +36,15 @@ class Work:
 def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> Iterator[tuple[str, Attempt]]:
     """Make all runs. Yields the name and the last attempt of each run and each traffic when it ends."""
     first: dict[str, Future] = {}
+    asked: tuple[Any, ...]
     for name, path in work.traffic.items():
         asked = (str(work.cache), name, str(path), str(study.path), limits.timeout_s)
         first[name] = client.submit(drive_traffic, *asked, key=f"traffic-{name}", pure=False)
-    runs = {
-        client.submit(
-            make_run, str(study.path), id, limits.retries, limits.timeout_s, limits.memory_gb,
-            first.get(traffic), key=f"run-{study.path.name}-{id}-{time.time_ns()}", pure=False,
-        ): id
-        for id, traffic in work.runs.items()
-    }  # fmt: skip
+    runs: dict[Future, str] = {}
+    for id, traffic in work.runs.items():
+        asked = (str(study.path), id, limits.retries, limits.timeout_s, limits.memory_gb, first.get(traffic))
+        key = f"run-{study.path.name}-{id}-{time.time_ns()}"
+        runs[client.submit(make_run, *asked, key=key, pure=False)] = id
     runs |= {future: name for name, future in first.items()}
     for future in as_completed(list(runs)):
         id = runs[future]
@@ -87,9 +86,13 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
     begun, outcome, peak, cpu_s = time.monotonic(), "", 0, 0.0
     with log.open("ab") as out:
         worker = subprocess.Popen(
-            process.command("cosim.studies.worker", *words), stdin=subprocess.PIPE, stdout=out, stderr=out,
-            env=process.environment(**_ONE_THREAD), start_new_session=True,
-        )  # fmt: skip
+            process.command("cosim.studies.worker", *words),
+            stdin=subprocess.PIPE,
+            stdout=out,
+            stderr=out,
+            env=process.environment(**_ONE_THREAD),
+            start_new_session=True,
+        )
         try:
             while worker.poll() is None:
                 time.sleep(_POLL_S)
@@ -108,13 +111,15 @@ def _attempt(words: Sequence[str], log: Path, stop: Path, timeout_s: float, memo
             worker.kill()
             worker.wait()
     wall_s = round(time.monotonic() - begun, 2)
-    said = {
-        "": "", "stopped": "", "timeout": f"longer than limits.timeout_s = {timeout_s:g} s",
-        "memory": f"more than limits.memory_gb = {memory_gb:g} GB",
-    }[outcome]  # fmt: skip
+    said = ""
+    if outcome == "timeout":
+        said = f"longer than limits.timeout_s = {timeout_s:g} s"
+    elif outcome == "memory":
+        said = f"more than limits.memory_gb = {memory_gb:g} GB"
+    elif not outcome and worker.returncode:
+        said = _last_line(log) or f"ended with status {worker.returncode}"
     if not outcome:
         outcome = "failed" if worker.returncode else "ok"
-        said = _last_line(log) or f"ended with status {worker.returncode}" if worker.returncode else ""
     return Attempt(outcome, wall_s, peak, said, round(cpu_s, 2))
 
 

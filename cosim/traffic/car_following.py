@@ -72,8 +72,9 @@ def calibrated(config: Sumocfg, folder: Path) -> Sumocfg:
     defaults = folder / "types-by-default.add.xml"
     types = [
         f'    <vType id="{name}" vClass="{vclass}"{_attributes(vclass)}/>\n'
-        for name, vclass in _DEFAULT_TYPES.items() if name not in defined
-    ]  # fmt: skip
+        for name, vclass in _DEFAULT_TYPES.items()
+        if name not in defined
+    ]
     defaults.write_text("<additional>\n" + "".join(types) + "</additional>\n", encoding="utf-8")
     files["additional-files"] = (defaults, *files["additional-files"])
     return replace(config, files=files)

@@ -273,7 +273,11 @@ def _needed(path: Path, block: pa.Table, first_row: int) -> pa.Table:
     return pa.table(found | {"is_person": _persons(path, block, found)})
 
 
-def _persons(path: Path, block: pa.Table, found: dict[str, pa.ChunkedArray]) -> Bool[ndarray, "n"]:
+def _persons(
+    path: Path,
+    block: pa.Table,
+    found: dict[str, pa.ChunkedArray],
+) -> Bool[ndarray, "n"]:
     """Rows of persons, as far as anything but their type tells.
 
     SUMO's tool `xml2csv` gives vehicles and persons columns of their own. SUMO itself names all columns after the first

@@ -19,7 +19,12 @@ class LaneLines:
     _xy_m: list[Float[ndarray, "v 2"]] = field(default_factory=list)
     _along_m: list[Float[ndarray, "v"]] = field(default_factory=list)
 
-    def add(self, lanes: tuple[str, ...], shapes: list[Float[ndarray, "k 2"]], first_length_m: float) -> int:
+    def add(
+        self,
+        lanes: tuple[str, ...],
+        shapes: list[Float[ndarray, "k 2"]],
+        first_length_m: float,
+    ) -> int:
         """Add the line of a new sequence of lanes.
 
         Parameters

@@ -21,9 +21,14 @@ from sensors.boxes import Boxes
 from sensors.scene import Shape
 
 TYPICAL_M = {
-    "car": (4.5, 1.85, 1.5), "van": (5.3, 1.95, 2.0), "truck": (8.0, 2.4, 3.3), "bus": (12.0, 2.55, 3.2),
-    "motorcycle": (2.2, 0.9, 1.5), "bicycle": (1.8, 0.65, 1.75), "pedestrian": (0.5, 0.5, 1.75),
-}  # fmt: skip
+    "car": (4.5, 1.85, 1.5),
+    "van": (5.3, 1.95, 2.0),
+    "truck": (8.0, 2.4, 3.3),
+    "bus": (12.0, 2.55, 3.2),
+    "motorcycle": (2.2, 0.9, 1.5),
+    "bicycle": (1.8, 0.65, 1.75),
+    "pedestrian": (0.5, 0.5, 1.75),
+}
 """Default length, width and height of each class, those of the shipped vehicle types."""
 
 

@@ -200,7 +200,11 @@ class TraceReplay(_Replay):
             )
         return said
 
-    def _on_road(self, timestep: Timestep, step: int) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
+    def _on_road(
+        self,
+        timestep: Timestep,
+        step: int,
+    ) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
         """Rows of the timestep that are on the road, and their actor numbers. New actors are registered."""
         shape = self._types.shapes(timestep.types, timestep.is_person, timestep.vclasses)
         for row in np.flatnonzero(shape == LEFT_OUT).tolist():

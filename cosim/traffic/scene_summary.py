@@ -23,10 +23,32 @@ MOST_CROSSING_P = 0.1
 heights of its bridges has 5 %."""
 NEAR_M = 1000.0
 """Buildings farther from the network hide nobody [m]."""
-_NO_BUILDINGS = frozenset((
-    "landuse", "natural", "water", "waterway", "leisure", "park", "forest", "grass", "railway", "highway", "barrier",
-    "power", "amenity", "tourism", "historic", "aeroway", "boundary", "sport", "place", "man_made", "route", "parking",
-))  # fmt: skip
+_NO_BUILDINGS = frozenset(
+    (
+        "landuse",
+        "natural",
+        "water",
+        "waterway",
+        "leisure",
+        "park",
+        "forest",
+        "grass",
+        "railway",
+        "highway",
+        "barrier",
+        "power",
+        "amenity",
+        "tourism",
+        "historic",
+        "aeroway",
+        "boundary",
+        "sport",
+        "place",
+        "man_made",
+        "route",
+        "parking",
+    )
+)
 """First words of types of polygons that are no buildings and are often in polygon files."""
 _RULE = 'A polygon is a building if its type begins with "building" or it has a parameter "building".'
 

@@ -196,7 +196,11 @@ class Streetside:
         return free
 
 
-def _squares(x: Float[ndarray, "n"], y: Float[ndarray, "n"], half: Float[ndarray, "n"] | float) -> ndarray:
+def _squares(
+    x: Float[ndarray, "n"],
+    y: Float[ndarray, "n"],
+    half: Float[ndarray, "n"] | float,
+) -> ndarray:
     """Shapely polygons of upright squares, from their middles and half their widths."""
     return shapely.box(x - half, y - half, x + half, y + half)
 
@@ -205,7 +209,11 @@ _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 """Of a rectangle, counter-clockwise, in halves of its length and width."""
 
 
-def _footprints(at_m: Float[ndarray, "n 3"], lwh_m: Float[ndarray, "n 3"], yaw_rad: Float[ndarray, "n"]) -> ndarray:
+def _footprints(
+    at_m: Float[ndarray, "n 3"],
+    lwh_m: Float[ndarray, "n 3"],
+    yaw_rad: Float[ndarray, "n"],
+) -> ndarray:
     """Shapely polygons of boxes seen from above."""
     from_centre = _CORNERS * lwh_m[:, None, :2] / 2
     corners = turned_by(yaw_rad[:, None], from_centre) + at_m[:, None, :2]

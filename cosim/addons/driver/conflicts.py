@@ -202,7 +202,11 @@ def _ways(poses: pd.DataFrame, dt_s: float) -> _Ways:
     return _Ways(actor, step, start, way, length, ground_m, length_m, width_m)
 
 
-def _on_one_road(ground_m: ndarray, i: Int[ndarray, "p"], j: Int[ndarray, "p"]) -> Bool[ndarray, "p"]:
+def _on_one_road(
+    ground_m: ndarray,
+    i: Int[ndarray, "p"],
+    j: Int[ndarray, "p"],
+) -> Bool[ndarray, "p"]:
     """Whether pairs of rows have their wheels at about one height."""
     return np.abs(ground_m[i] - ground_m[j]) <= _LEVEL_M
 
@@ -273,7 +277,12 @@ def overlaps(run: Run, poses: pd.DataFrame | None = None) -> pd.DataFrame:
     return frame.drop_duplicates(["a", "b"]).reset_index(drop=True)
 
 
-def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float[ndarray, "p"]:
+def _depth(
+    at: dict[str, ndarray],
+    xy: ndarray,
+    i: ndarray,
+    j: ndarray,
+) -> Float[ndarray, "p"]:
     """Penetration of two rectangles along the axis on which it is least; negative where they are apart."""
     depth = np.full(len(i), np.inf)
     apart = xy[j] - xy[i]
@@ -291,7 +300,11 @@ def _depth(at: dict[str, ndarray], xy: ndarray, i: ndarray, j: ndarray) -> Float
     return depth
 
 
-def begins(on: Bool[ndarray, "n"], off: Bool[ndarray, "n"], track: ndarray) -> Bool[ndarray, "n"]:
+def begins(
+    on: Bool[ndarray, "n"],
+    off: Bool[ndarray, "n"],
+    track: ndarray,
+) -> Bool[ndarray, "n"]:
     """Rows in which an event begins: `on` holds, and no event of the same track is under way.
 
     Parameters

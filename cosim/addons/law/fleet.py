@@ -205,7 +205,8 @@ class Fleet:
         evaluated_p = told.p * (1.0 - found.none_p)
         receiver = np.searchsorted(actor, told.receiver)
         n_received = np.bincount(receiver, told.p * found.n_listed, n)[mine]
-        length_bytes[mine] = evaluation_bytes(n_self + views.n_listed + n_received)  # type: ignore[arg-type]  # expected lengths
+        n_expected = n_self + views.n_listed + n_received
+        length_bytes[mine] = evaluation_bytes(n_expected)  # type: ignore[arg-type]
         begin_s += config.round_s
         heard_p = self.load.delivered_p(RoundKind.EVALUATION, step, begin_s, links, length_bytes, wait)
         newest = self._received(world, row, links, heard_p)

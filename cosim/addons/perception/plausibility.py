@@ -118,7 +118,8 @@ def _nearest(
     apart_m = 10 * _NEAR_M  # of frames: objects of another frame are not near
     places = np.column_stack([truth.box[:, :2], apart_m * truth.frame])
     tree = cKDTree(places)
-    return tree.query(np.column_stack([xy_m, apart_m * frame]), distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
+    wanted = np.column_stack([xy_m, apart_m * frame])
+    return tree.query(wanted, distance_upper_bound=_NEAR_M)  # type: ignore[no-any-return]
 
 
 def _differences(truth: RecordedBoxes, found: RecordedBoxes) -> Iterator[str]:

@@ -92,7 +92,9 @@ def write(
 class _Film:
     """The picture that changes from step to step."""
 
-    def __init__(self, run: Run, vehicle: int | None, steps: ndarray, streets, buildings) -> None:  # type: ignore[no-untyped-def]
+    def __init__(  # type: ignore[no-untyped-def]
+        self, run: Run, vehicle: int | None, steps: ndarray, streets, buildings
+    ) -> None:
         self.vehicle, self._dt_s = vehicle, run.dt_s
         actors = run.table("actors", ["step", "actor", "x_m", "y_m"], at_steps(steps))
         self._actors = dict(iter(actors.groupby("step")))

@@ -55,7 +55,15 @@ def _edges(values: ndarray, cell_m: float) -> ndarray:
     return np.arange(first, last + 2) * cell_m
 
 
-def _heat(axes: Axes, x: ndarray, y: ndarray, x_edges: ndarray, y_edges: ndarray, n: ndarray, n_stale: ndarray):  # type: ignore[no-untyped-def]
+def _heat(  # type: ignore[no-untyped-def]
+    axes: Axes,
+    x: ndarray,
+    y: ndarray,
+    x_edges: ndarray,
+    y_edges: ndarray,
+    n: ndarray,
+    n_stale: ndarray,
+):
     """Shares in cells; those with few lookups stay empty."""
     edges = (x_edges, y_edges)
     total, *_ = np.histogram2d(x, y, edges, weights=n)

@@ -26,7 +26,11 @@ class InterReceptionTracker:
     """Step in which the sender last had a message."""
 
     def next(
-        self, step: int, pair: Int[ndarray, "p"], received: Bool[ndarray, "p"], silent: Int[ndarray, "v"]
+        self,
+        step: int,
+        pair: Int[ndarray, "p"],
+        received: Bool[ndarray, "p"],
+        silent: Int[ndarray, "v"],
     ) -> tuple["InterReceptionTracker", dict[str, ndarray]]:
         """Add one round of messages.
 
