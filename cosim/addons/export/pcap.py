@@ -385,8 +385,9 @@ def geonetworking(senders: etsi.PositionVectors) -> list[bytes]:
     in_range = np.clip(speed_cm_s, -(2**14), 2**14 - 1)
     speed = in_range.astype(np.int64) & 0x7FFF
     encoded = senders._replace(label=senders.station_type(), speed_mps=speed)
+    rows = zip(*(column.tolist() for column in encoded), strict=True)
     headers = []
-    for number, kind, time, lat, lon, angle, v in zip(*(column.tolist() for column in encoded), strict=True):
+    for number, kind, time, lat, lon, angle, v in rows:
         flags = 1 << 15 | kind << 10
         low_time = time & 0xFFFFFFFF
         headers.append(struct.pack(">H6sIiiHH4x", flags, mac(number), low_time, lat, lon, v, angle))

@@ -21,7 +21,8 @@ def _reserve(u, memory, log, rules):
     process = memory.process[me.process]
     process.width, process.n_sent, process.n_missed = me.width, me.n_sent, 0
     for a in range(me.n_sent):
-        process.gap[a], process.sub[a] = me.slot[a] - me.slot[0], me.sub[a]
+        process.gap[a] = me.slot[a] - me.slot[0]
+        process.sub[a] = me.sub[a]
     process.counter = draw_counter(process, rules) if process.period > 0 else 1
     process.next_slot = me.slot[0]
 
@@ -30,7 +31,8 @@ def _reserve(u, memory, log, rules):
 def _schedule(u, s, begin, log):
     """Enter the transmissions of a unit into the lists of their slots, by key."""
     for a in range(log.unit[u].n_sent):
-        node, at = u * MAX_SENT + a, log.unit[u].slot[a] - begin
+        node = u * MAX_SENT + a
+        at = log.unit[u].slot[a] - begin
         before, here = NONE, log.head_sent[at]
         while here != NONE and log.unit[here // MAX_SENT].key < log.unit[u].key:
             before, here = here, log.next_sent[here]
@@ -55,11 +57,13 @@ def _uses_reservation(u, s, process, log, rules):
     if process.n_missed >= rules.reselect_after:
         return False
     last = process.next_slot + process.gap[process.n_sent - 1]
-    if last > min(me.generated + rules.last, me.deadline) or process.width < me.width:
+    latest = min(me.generated + rules.last, me.deadline)
+    if last > latest or process.width < me.width:
         return False
     me.width, me.n_sent = process.width, min(process.n_sent, me.n_sent)
     for a in range(me.n_sent):
-        me.slot[a], me.sub[a] = process.next_slot + process.gap[a], process.sub[a]
+        me.slot[a] = process.next_slot + process.gap[a]
+        me.sub[a] = process.sub[a]
     return True
 
 
@@ -96,7 +100,8 @@ def admit(u, s, begin, air, memory, log, room, rules):
     if not _uses_reservation(u, s, process, log, rules):
         process.next_slot = NEVER
         wanted = rules.forced_period if rules.forced_period > 0 else interval
-        process.period = wanted if 0 < wanted < len(air.allowed) and air.allowed[wanted] else 0
+        is_allowed = 0 < wanted < len(air.allowed) and air.allowed[wanted]
+        process.period = wanted if is_allowed else 0
         if not choose(u, s, air, memory, log, room, rules):
             me.n_sent = 0
             me.outcome = EXPIRED
@@ -115,12 +120,15 @@ def _is_taken(u, memory, log):
     """Whether another station has announced a resource that was chosen for a unit."""
     me = log.unit[u]
     period = memory.process[me.process].period
-    for e in range(memory.ptr[me.station], memory.ptr[me.station] + memory.n_entries[me.station]):
+    begin = memory.ptr[me.station]
+    for e in range(begin, begin + memory.n_entries[me.station]):
         entry = memory.entry[e]
         if entry.rsrp_mw > me.threshold_mw:
             held = memory.reservation[entry.reservation]
             for a in range(me.n_sent):
-                if held.sub < me.sub[a] + me.width and me.sub[a] < held.sub + held.width:
+                own_end = me.sub[a] + me.width
+                held_end = held.sub + held.width
+                if held.sub < own_end and me.sub[a] < held_end:
                     slot = held.slot
                     while slot <= held.last:
                         ahead = slot - me.slot[a]
@@ -136,7 +144,8 @@ def _is_taken(u, memory, log):
 def _unschedule(u, begin, log):
     """Remove the transmissions of a unit from the lists of their slots."""
     for a in range(log.unit[u].n_sent):
-        node, at = u * MAX_SENT + a, log.unit[u].slot[a] - begin
+        node = u * MAX_SENT + a
+        at = log.unit[u].slot[a] - begin
         before, here = NONE, log.head_sent[at]
         while here != node:
             before, here = here, log.next_sent[here]

@@ -108,7 +108,8 @@ def _pending(block_mw, u, log, memory, period, first, n_slots, n_places, stride,
 @kernel
 def _announced(block_mw, memory, i, period, above_mw, first, n_slots, n_places, stride, width):
     """Mark the candidates that other stations have reserved with the power of their announcements."""
-    for e in range(memory.ptr[i], memory.ptr[i] + memory.n_entries[i]):
+    begin = memory.ptr[i]
+    for e in range(begin, begin + memory.n_entries[i]):
         entry = memory.entry[e]
         if entry.rsrp_mw > above_mw:
             held = memory.reservation[entry.reservation]
@@ -176,7 +177,11 @@ def _mean_power(power_mw, s, i, period, air, memory, rules, first, n_slots, n_pl
 
 @kernel
 def _before(room, a, b):
-    return room.power_mw[a] < room.power_mw[b] or (room.power_mw[a] == room.power_mw[b] and room.rank[a] < room.rank[b])
+    """Whether candidate a has less power than b, or as much and the lower rank."""
+    power_a, power_b = room.power_mw[a], room.power_mw[b]
+    if power_a != power_b:
+        return power_a < power_b
+    return room.rank[a] < room.rank[b]
 
 
 @kernel
@@ -259,28 +264,31 @@ def choose(u, s, air, memory, log, room, rules):
         _mean_power(room.power_mw, s, i, period, air, memory, rules, first, n_slots, n_places, stride, width)
         _keep_quietest(room, process, rules, n, limit_mw, wanted)
         n_left = _count_up_to(block_mw, n, limit_mw)
-    log.unit[u].threshold_mw = limit_mw
+    me.threshold_mw = limit_mw
     chosen = _nth_up_to(block_mw, n, limit_mw, np.int64(draw(process, rules, _SELECT) * n_left))
-    log.unit[u].slot[0] = first + chosen // n_places
-    log.unit[u].sub[0] = (chosen % n_places) * stride
+    me.slot[0] = first + chosen // n_places
+    me.sub[0] = (chosen % n_places) * stride
     count = 1
     while count < me.n_sent:
         # Further transmissions: other slots, all within `max_gap` of each other.
         for k in range(n):
             slot = first + k // n_places
             for a in range(count):
-                apart = abs(slot - log.unit[u].slot[a])
+                apart = abs(slot - me.slot[a])
                 if apart == 0 or apart > rules.max_gap:
                     block_mw[k] = np.inf
         n_left = _count_up_to(block_mw, n, limit_mw)
         if n_left == 0:
             break
         chosen = _nth_up_to(block_mw, n, limit_mw, np.int64(draw(process, rules, _SELECT) * n_left))
-        slot, sub, a = first + chosen // n_places, (chosen % n_places) * stride, count
-        while a > 0 and log.unit[u].slot[a - 1] > slot:
-            log.unit[u].slot[a], log.unit[u].sub[a] = log.unit[u].slot[a - 1], log.unit[u].sub[a - 1]
+        slot = first + chosen // n_places
+        a = count  # transmissions are in the order of their slots
+        while a > 0 and me.slot[a - 1] > slot:
+            me.slot[a] = me.slot[a - 1]
+            me.sub[a] = me.sub[a - 1]
             a -= 1
-        log.unit[u].slot[a], log.unit[u].sub[a] = slot, sub
+        me.slot[a] = slot
+        me.sub[a] = (chosen % n_places) * stride
         count += 1
-    log.unit[u].n_sent = count
+    me.n_sent = count
     return True
