@@ -15,10 +15,7 @@ from numpy import ndarray
 
 from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.threads import in_ranges
-from sensors.boxes import Boxes, iou_of
-
-Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
-"""Rows of two boxes, and how well they agree, in (0, 1]; sorted by the two rows."""
+from sensors.boxes import Boxes, Pairs, iou_of
 
 LEAST_VARIANCE_M2, MOST_VARIANCE_M2 = 0.02**2, 2.0**2
 """Stated variances count as at least and at most this along any axis. Nobody escapes a comparison by stating that a

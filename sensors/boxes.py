@@ -15,6 +15,9 @@ from cosim.base.ragged import row_numbers
 from cosim.base.rows import Rows
 from cosim.base.threads import in_ranges
 
+Pairs = tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]
+"""Rows of two boxes, and their IoU or how well they agree, in (0, 1]; sorted by the two rows."""
+
 
 @dataclass(frozen=True, slots=True)
 class Boxes(Rows):
@@ -153,9 +156,7 @@ def iou_3d(a: Boxes, b: Boxes) -> Float[ndarray, "n"]:
     return out
 
 
-def overlapping_pairs(
-    boxes: Boxes, label: UInt8[ndarray, "n"], owner: Int[ndarray, "n"]
-) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"], Float[ndarray, "m"]]:
+def overlapping_pairs(boxes: Boxes, label: UInt8[ndarray, "n"], owner: Int[ndarray, "n"]) -> Pairs:
     """All overlapping pairs i < j of the same label and different owners, with their IoU.
 
     Parameters
@@ -192,7 +193,7 @@ def _overlapping(
     i: Int[ndarray, "m"],
     b: Boxes,
     j: Int[ndarray, "m"],
-) -> tuple[ndarray, ndarray, ndarray]:
+) -> Pairs:
     """The pairs of rows of `a` and `b` (int32) whose boxes overlap, and their IoU."""
     iou = iou_3d(a.take(i), b.take(j))
     overlap = np.flatnonzero(iou > 0.0)
@@ -200,9 +201,7 @@ def _overlapping(
     return i, j, iou[overlap]
 
 
-def pairs_between(
-    a: Boxes, a_label: UInt8[ndarray, "n"], b: Boxes, b_label: UInt8[ndarray, "m"]
-) -> tuple[Int[ndarray, "k"], Int[ndarray, "k"], Float[ndarray, "k"]]:
+def pairs_between(a: Boxes, a_label: UInt8[ndarray, "n"], b: Boxes, b_label: UInt8[ndarray, "m"]) -> Pairs:
     """All overlapping pairs of a box of `a` and a box of `b` of the same label, with their IoU.
 
     Parameters
