@@ -183,9 +183,11 @@ def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iter
         if is_here and group not in groups and pd.notna(value):
             groups.add(group)
             own = f"{metric.column}_"
+            keys = ["low", "high", "n_units"]
+            if f"{own}low" in row:
+                keys = [f"{own}low", f"{own}high", f"{own}units"]
             low = high = n_units = np.nan
             if metric.unit_of_chance:
-                keys = [f"{own}low", f"{own}high", f"{own}units"] if f"{own}low" in row else ["low", "high", "n_units"]
                 low, high, n_units = (row.get(key, np.nan) for key in keys)
             note = row.get(f"{own}note", row.get("note", ""))
             yield MeasuredRow(name, group, float(value), low, high, n_units, note)
