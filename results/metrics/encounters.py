@@ -24,9 +24,17 @@ _KINDS = {"pairs": str, "radius_m": float | int, "hysteresis_s": float | int, "l
 _MOST = 1e9
 """No radius [m] and no time [s] of a definition is larger."""
 _COLUMNS = (
-    *DEFINITION, "a", "b", "start_step", "end_step", "duration_s", "censored_left", "censored_right", "departed",
+    *DEFINITION,
+    "a",
+    "b",
+    "start_step",
+    "end_step",
+    "duration_s",
+    "censored_left",
+    "censored_right",
+    "departed",
     "gap_s",
-)  # fmt: skip
+)
 
 
 def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
@@ -39,9 +47,10 @@ def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
     kinds = list(dict.fromkeys(keys if among is None else _kinds(among)))
     text = [f"{pairs}, {radius_m:g} m" for pairs, radius_m, *_ in kinds]
     more = {
-        "hysteresis_s": lambda s: f", {s:g} s", "los": lambda los: f", {los.replace('_', ' ')}",
+        "hysteresis_s": lambda s: f", {s:g} s",
+        "los": lambda los: f", {los.replace('_', ' ')}",
         "pedestrians": lambda some: ", pedestrians" if some else "",
-    }  # fmt: skip
+    }
     for column, words in more.items():
         values = [kind[DEFINITION.index(column)] for kind in kinds]
         if len(set(values)) > 1:

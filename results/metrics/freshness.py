@@ -57,10 +57,12 @@ def states(run: Run) -> pd.DataFrame:
     """
     if "trust_lookups" not in run.tables:
         total = _totals(run).n
-        return pd.DataFrame([
-            {"role": "all", "state": state, "n": int(n)} | plain_columns(without_interval(n / total.sum()), "share")
-            for state, n in total.items()
-        ])  # fmt: skip
+        return pd.DataFrame(
+            [
+                {"role": "all", "state": state, "n": int(n)} | plain_columns(without_interval(n / total.sum()), "share")
+                for state, n in total.items()
+            ]
+        )
     counts, rows = lookups.sums(run).states, []
     for role, of_role in _with_all(run, counts):
         n_lookups = of_role.sum(axis=1)
@@ -91,14 +93,16 @@ def ages(run: Run) -> pd.DataFrame:
             total_s = found.age_sum_s[:, chosen, number].sum(axis=1)
             counts = found.age_counts[chosen, number].sum(axis=0)
             median_s, p90_s = quantiles(lookups.ages_s(run), counts, (0.5, 0.9))
-            rows.append({
-                "what": what,
-                "role": role,
-                "n": int(n.sum()),
-                **plain_columns(ratio(total_s, n), "mean_s"),
-                "median_s": median_s,
-                "p90_s": p90_s,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "what": what,
+                    "role": role,
+                    "n": int(n.sum()),
+                    **plain_columns(ratio(total_s, n), "mean_s"),
+                    "median_s": median_s,
+                    "p90_s": p90_s,
+                }
+            )
     if not rows:
         raise run.lacks(*_NO_EVALUATION)
     return pd.DataFrame(rows)
@@ -166,9 +170,9 @@ def age_over_time(run: Run) -> pd.DataFrame:
     """
     found = lookups.sums(run)
     mean = _of_renewed(found.area_s2, found.observed_s, "mean_s").rename(columns={"n": "observed_s"})
-    peak = _of_renewed(found.sawtooth_peak_sum_s, found.sawtooth_peaks, "peak_s").rename(columns={
-        "n": "n_peaks", "low": "peak_s_low", "high": "peak_s_high", "n_units": "peak_s_units"
-    })  # fmt: skip
+    peak = _of_renewed(found.sawtooth_peak_sum_s, found.sawtooth_peaks, "peak_s").rename(
+        columns={"n": "n_peaks", "low": "peak_s_low", "high": "peak_s_high", "n_units": "peak_s_units"}
+    )
     return mean.merge(peak, on="what", how="left")
 
 
@@ -176,8 +180,9 @@ def _of_renewed(total: np.ndarray, n: np.ndarray, name: str) -> pd.DataFrame:
     """Sums over numbers by what is renewed: what, n, and the ratio under this name with its interval."""
     rows = [
         {"what": what, "n": float(of.sum())} | plain_columns(ratio(sums, of), name)
-        for what, sums, of in zip(lookups.RENEWED, total.T, n.T, strict=True) if of.sum()
-    ]  # fmt: skip
+        for what, sums, of in zip(lookups.RENEWED, total.T, n.T, strict=True)
+        if of.sum()
+    ]
     return pd.DataFrame(rows, columns=["what", "n", name, "low", "high", "n_units"])
 
 
@@ -224,10 +229,13 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     lookups.sums(run)  # says so where there are none
     kinds = zip(labels(LookupState), STATES, strict=True)
     shares = ", ".join(f"count_if(state = '{label}') / count(*) AS \"{name}\"" for label, name in kinds)
-    return run.sql(f"""
+    return run.sql(
+        f"""
         SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {shares}
         FROM trust_lookups WHERE variant = $variant GROUP BY time_s ORDER BY time_s
-    """, every_s=every_s)  # fmt: skip
+    """,
+        every_s=every_s,
+    )
 
 
 def without_trust(run: Run) -> pd.DataFrame:
@@ -251,14 +259,16 @@ def without_trust(run: Run) -> pd.DataFrame:
         waited_s = after_s[after_s > 0]
         without = np.isnan(after_s)
         not_over = without & np.r_[goes_on[at], goes_on[at]]
-        rows.append({
-            **dict(zip(DEFINITION, kind, strict=True)),
-            "n": len(after_s),
-            "n_without": int(without.sum()),
-            **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
-            "share_note": _not_over(int(not_over.sum()), int(without.sum())),
-            "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
-        })  # fmt: skip
+        rows.append(
+            {
+                **dict(zip(DEFINITION, kind, strict=True)),
+                "n": len(after_s),
+                "n_without": int(without.sum()),
+                **plain_columns(share(np.bincount(who, without), np.bincount(who)), "share"),
+                "share_note": _not_over(int(not_over.sum()), int(without.sum())),
+                "wait_median_s": float(np.median(waited_s)) if len(waited_s) else np.nan,
+            }
+        )
     columns = [*DEFINITION, "n", "n_without", "share", "low", "high", "n_units", "share_note"]
     found = pd.DataFrame(rows, columns=[*columns, "wait_median_s"])
     return found.assign(definition=named(found, definitions(run)))

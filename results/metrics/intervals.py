@@ -282,9 +282,13 @@ def median(values: Float[ndarray, "n"], unit: Int[ndarray, "n"], level: float = 
 
 
 def auc(
-    high: Float[ndarray, "h"], high_unit: Int[ndarray, "h"], low: Float[ndarray, "l"], low_unit: Int[ndarray, "l"],
-    times: tuple[ndarray, ndarray] | None = None, level: float = LEVEL,
-) -> ClusteredEstimate:  # fmt: skip
+    high: Float[ndarray, "h"],
+    high_unit: Int[ndarray, "h"],
+    low: Float[ndarray, "l"],
+    low_unit: Int[ndarray, "l"],
+    times: tuple[ndarray, ndarray] | None = None,
+    level: float = LEVEL,
+) -> ClusteredEstimate:
     """Probability that a value of the first kind is above one of the second, clustered by unit [1]_; ties count half.
 
     Parameters
@@ -396,9 +400,11 @@ def plain_columns(estimate: ClusteredEstimate, name: str) -> dict[str, float]:
 def columns(estimate: ClusteredEstimate, name: str) -> dict[str, float]:
     """An estimate as columns of a row: `name`, `name_low`, `name_high` and `name_units`."""
     return {
-        name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high,
+        name: estimate.value,
+        f"{name}_low": estimate.low,
+        f"{name}_high": estimate.high,
         f"{name}_units": estimate.n_units,
-    }  # fmt: skip
+    }
 
 
 def by_group(

@@ -7,9 +7,24 @@ from cosim.base.kernel import compiled
 
 @compiled
 def add(
-    variant, receiver, who, state, ages_s, age_number, n_evaluations, n_evaluators, role_of, fresh_s, states, fresh,
-    aged, age_sum_s, age_counts, behind, behind_sum,
-):  # fmt: skip
+    variant,
+    receiver,
+    who,
+    state,
+    ages_s,
+    age_number,
+    n_evaluations,
+    n_evaluators,
+    role_of,
+    fresh_s,
+    states,
+    fresh,
+    aged,
+    age_sum_s,
+    age_counts,
+    behind,
+    behind_sum,
+):
     """Add rows to the fields of `lookups.Sums`; `who` is the row of the subject in `role_of`, `age_number` the number
     of each of the three ages (-1: none)."""
     for i in range(len(variant)):
@@ -32,9 +47,22 @@ def add(
 
 @compiled
 def add_successive(
-    variant, receiver, step, pair, ages_s, dt_s, reach_s, last_step, last_s, renewed, peak_sum_s, observed_s,
-    area_s2, sawtooth_peaks, sawtooth_peak_sum_s,
-):  # fmt: skip
+    variant,
+    receiver,
+    step,
+    pair,
+    ages_s,
+    dt_s,
+    reach_s,
+    last_step,
+    last_s,
+    renewed,
+    peak_sum_s,
+    observed_s,
+    area_s2,
+    sawtooth_peaks,
+    sawtooth_peak_sum_s,
+):
     """Compare each lookup with the one before of the same receiver and subject, whose number is `pair`.
 
     What is known is renewed where it was generated later than what was known at the lookup before: where the age has
@@ -64,9 +92,22 @@ def add_successive(
 
 @compiled
 def add_watched(
-    variant, step, who, pair, trust, n_evaluations, since, threshold, least, n_watched, n_evaluated, n_low, first_step,
-    low_step, seen_step,
-):  # fmt: skip
+    variant,
+    step,
+    who,
+    pair,
+    trust,
+    n_evaluations,
+    since,
+    threshold,
+    least,
+    n_watched,
+    n_evaluated,
+    n_low,
+    first_step,
+    low_step,
+    seen_step,
+):
     """Of subjects while they are watched: count lookups, those with an evaluated value, and those that are below the
     threshold and rest on at least `least` evaluations; and write down when each receiver first looked its subject
     up, first found such a value (-1: never), and last looked it up."""

@@ -33,10 +33,19 @@ REACH_S = 3.0
 sensing intervals of the receiver where these are longer."""
 
 _DTYPES = {
-    "variant": np.int16, "step": np.int32, "receiver": np.int32, "subject": np.int32, "state": np.int16,
-    "source": np.int16, "trust": np.float32, "age_s": np.float32, "newest_evaluation_age_s": np.float32,
-    "oldest_evaluation_age_s": np.float32, "n_evaluations": np.int32, "n_evaluators": np.float32,
-}  # fmt: skip
+    "variant": np.int16,
+    "step": np.int32,
+    "receiver": np.int32,
+    "subject": np.int32,
+    "state": np.int16,
+    "source": np.int16,
+    "trust": np.float32,
+    "age_s": np.float32,
+    "newest_evaluation_age_s": np.float32,
+    "oldest_evaluation_age_s": np.float32,
+    "n_evaluations": np.int32,
+    "n_evaluators": np.float32,
+}
 """Of the columns that are added up, whatever a block holds, so that kernels are compiled once."""
 _AGES_PER_S = 1024
 """Ages are stored in multiples of this part of a second."""
@@ -184,11 +193,15 @@ WITH watched AS (
 
 def first_lows(run: Run, threshold: float) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Step and subject of the first value by which each watched subject is suspected, of those that are looked up."""
-    found = run.sql(f"""
+    found = run.sql(
+        f"""
         {_EVALUATED} SELECT min(step) AS step, subject FROM evaluated
         WHERE variant = $variant AND trust::DOUBLE < $threshold AND n_evaluations >= $least
         GROUP BY subject ORDER BY subject
-    """, threshold=threshold, least=suspect_from(run))  # fmt: skip
+    """,
+        threshold=threshold,
+        least=suspect_from(run),
+    )
     return found.step.to_numpy(), found.subject.to_numpy()
 
 
@@ -208,11 +221,14 @@ def _scores(run: Run) -> tuple[pd.DataFrame, bool]:
         is_rounded = run.sql(f"{_EVALUATED} SELECT count(*) AS n FROM {several}").n[0] > _MOST_SCORES
     if is_rounded:
         value = f"(round_even(trust * {_SCORES}, 0) / {_SCORES})::FLOAT"
-    found = run.sql(f"""
+    found = run.sql(
+        f"""
         {_EVALUATED} SELECT list_position($variants, variant)::SMALLINT - 1 AS number, subject, {value} AS trust,
             count(*)::INT AS n
         FROM evaluated GROUP BY ALL
-    """, variants=list(run.variants))  # fmt: skip
+    """,
+        variants=list(run.variants),
+    )
     return found, is_rounded
 
 
@@ -303,9 +319,15 @@ class _Adding:
 
     def __post_init__(self) -> None:
         of_two = (
-            "behind", "behind_sum", "renewed", "peak_sum_s", "observed_s", "area_s2", "sawtooth_peaks",
+            "behind",
+            "behind_sum",
+            "renewed",
+            "peak_sum_s",
+            "observed_s",
+            "area_s2",
+            "sawtooth_peaks",
             "sawtooth_peak_sum_s",
-        )  # fmt: skip
+        )
         by_receiver: dict[str, tuple[int, ...]] = {
             "states": (self.n_roles, len(LookupState)),
             "fresh": (self.n_roles,),
@@ -379,11 +401,24 @@ class _Adding:
         of = self.of_receivers
         fresh_s = np.float32(self.asked.fresh_s)
         lookup_sums.add(
-            rows["variant"], receiver, who, rows["state"],
-            ages_s, age_number, rows["n_evaluations"], rows["n_evaluators"], self.role_of, fresh_s,
-            of["states"], of["fresh"], of["aged"], of["age_sum_s"],
-            self.age_counts, of["behind"], of["behind_sum"],
-        )  # fmt: skip
+            rows["variant"],
+            receiver,
+            who,
+            rows["state"],
+            ages_s,
+            age_number,
+            rows["n_evaluations"],
+            rows["n_evaluators"],
+            self.role_of,
+            fresh_s,
+            of["states"],
+            of["fresh"],
+            of["aged"],
+            of["age_sum_s"],
+            self.age_counts,
+            of["behind"],
+            of["behind_sum"],
+        )
 
     def _compare_successive(self, rows: _Rows, pair: ndarray, ages_s: ndarray) -> None:
         """Add up what is renewed from one lookup of a pair to the next."""
@@ -393,11 +428,22 @@ class _Adding:
         from_server = ages_s[: len(RENEWED)].copy()
         from_server[0, rows["source"] != TrustSource.SERVER] = np.nan
         lookup_sums.add_successive(
-            rows["variant"], rows["receiver"], rows["step"], pair,
-            from_server, self.dt_s, self.reach_s, pairs["last_step"], pairs["last_s"],
-            of["renewed"], of["peak_sum_s"], of["observed_s"], of["area_s2"],
-            of["sawtooth_peaks"], of["sawtooth_peak_sum_s"],
-        )  # fmt: skip
+            rows["variant"],
+            rows["receiver"],
+            rows["step"],
+            pair,
+            from_server,
+            self.dt_s,
+            self.reach_s,
+            pairs["last_step"],
+            pairs["last_s"],
+            of["renewed"],
+            of["peak_sum_s"],
+            of["observed_s"],
+            of["area_s2"],
+            of["sawtooth_peaks"],
+            of["sawtooth_peak_sum_s"],
+        )
 
     def _count_watched(self, rows: _Rows, who: ndarray, pair: ndarray) -> None:
         """Count lookups of subjects while they are watched."""
@@ -409,11 +455,22 @@ class _Adding:
             who, pair = who[in_use], pair[in_use]
         mine, pairs, asked = self.of_subjects, self.of_pairs, self.asked
         lookup_sums.add_watched(
-            rows["variant"], rows["step"], who, pair, rows["trust"], rows["n_evaluations"],
-            self.since, asked.threshold, asked.least,
-            mine["n_watched"], mine["n_evaluated"], mine["n_low"],
-            pairs["first_step"], pairs["low_step"], pairs["seen_step"],
-        )  # fmt: skip
+            rows["variant"],
+            rows["step"],
+            who,
+            pair,
+            rows["trust"],
+            rows["n_evaluations"],
+            self.since,
+            asked.threshold,
+            asked.least,
+            mine["n_watched"],
+            mine["n_evaluated"],
+            mine["n_low"],
+            pairs["first_step"],
+            pairs["low_step"],
+            pairs["seen_step"],
+        )
 
     def _forget(self, step: int) -> None:
         """Forget the pairs of receivers that have left: they look nothing up any more."""

@@ -121,18 +121,20 @@ def classification(run: Run, false_positives: float = 0.05) -> pd.DataFrame:
         found_out = intervals.of_units(attacking.trust < limit, attacking.vehicle)
         if np.isnan(limit):
             of_time = found_out = intervals.UNKNOWN
-        rows.append({
-            "role": role,
-            "n": len(np.unique(found.subject[mine])),
-            "evaluated": len(attacking.step) / int(mine.sum()),
-            "evaluated_honest": _share(found.rated[is_honest]),
-            **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
-            **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
-            "threshold": limit,
-            **intervals.columns(found_out, "true_positives"),
-            "false_positives": _share(honest < limit),
-            **intervals.columns(of_time, "suspected"),
-        })  # fmt: skip
+        rows.append(
+            {
+                "role": role,
+                "n": len(np.unique(found.subject[mine])),
+                "evaluated": len(attacking.step) / int(mine.sum()),
+                "evaluated_honest": _share(found.rated[is_honest]),
+                **intervals.columns(_auc(found, is_honest & found.rated, mine & found.rated), "auc"),
+                **intervals.columns(_auc(found, is_honest & has_trust, mine & has_trust), "auc_unevaluated"),
+                "threshold": limit,
+                **intervals.columns(found_out, "true_positives"),
+                "false_positives": _share(honest < limit),
+                **intervals.columns(of_time, "suspected"),
+            }
+        )
     if not rows:
         raise run.lacks(*_NONE_RATED)
     return pd.DataFrame(rows)
@@ -155,12 +157,16 @@ def roc(run: Run) -> pd.DataFrame:
         attacking = np.sort(_rated(run, found, role))
         if role != HONEST and len(attacking) and len(honest):
             threshold = np.append(np.unique(np.concatenate([attacking, honest])), np.inf)
-            rows.append(pd.DataFrame({
-                "role": role,
-                "threshold": threshold,
-                "false_positives": np.searchsorted(honest, threshold) / len(honest),
-                "true_positives": np.searchsorted(attacking, threshold) / len(attacking),
-            }))  # fmt: skip
+            rows.append(
+                pd.DataFrame(
+                    {
+                        "role": role,
+                        "threshold": threshold,
+                        "false_positives": np.searchsorted(honest, threshold) / len(honest),
+                        "true_positives": np.searchsorted(attacking, threshold) / len(attacking),
+                    }
+                )
+            )
     if not rows:
         raise run.lacks(*_NONE_RATED)
     return pd.concat(rows, ignore_index=True)

@@ -37,20 +37,32 @@ _NOBODY = "no vehicle had another in range. Raise fleet.penetration_p or radio.r
 
 def overall(run: Run, message_type: MessageType | None = None) -> pd.DataFrame:
     """One row, of one message type or of all: n_sent, n_in_range, pdr, shares lost by cause, sent_bytes, mean cbr."""
-    return _asked(run, _TRAFFIC, _NOBODY, f"""
+    return _asked(
+        run,
+        _TRAFFIC,
+        _NOBODY,
+        f"""
         SELECT sum(n_sent)::BIGINT AS n_sent, {_PDR}, {_LOSSES}, sum(sent_bytes::DOUBLE) AS sent_bytes,
             avg(cbr::DOUBLE) AS cbr
         FROM radio WHERE $message_type IS NULL OR message_type = $message_type
         HAVING (SELECT sum(n_in_range) FROM radio) > 0
-    """, message_type=message_type)  # fmt: skip
+    """,
+        message_type=message_type,
+    )
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """Packet delivery ratio by time: time_s, n_in_range, pdr, cbr."""
-    return _asked(run, _TRAFFIC, _NOBODY, f"""
+    return _asked(
+        run,
+        _TRAFFIC,
+        _NOBODY,
+        f"""
         SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
         FROM radio GROUP BY time_s HAVING sum(n_in_range) > 0 ORDER BY time_s
-    """, every_s=every_s)  # fmt: skip
+    """,
+        every_s=every_s,
+    )
 
 
 def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
@@ -59,10 +71,15 @@ def by_distance(run: Run, by_los: bool = False) -> pd.DataFrame:
     With `by_los` also by line of sight between the two ends: los_state is los, nlos, or unknown.
     """
     by = "los_state, distance_bin_m" if by_los else "distance_bin_m"
-    return _asked(run, _TRAFFIC, _NOBODY, f"""
+    return _asked(
+        run,
+        _TRAFFIC,
+        _NOBODY,
+        f"""
         SELECT {by}, distance_bin_m + {DISTANCE_BIN_M / 2}::DOUBLE AS distance_m, {_PDR}, {_LOSSES}
         FROM pdr_by_distance GROUP BY {by} HAVING sum(n_in_range) > 0 ORDER BY {by}
-    """)  # fmt: skip
+    """,
+    )
 
 
 def by_los(run: Run) -> pd.DataFrame:
@@ -85,12 +102,17 @@ def why_none_received(run: Run) -> str:
 
 def latency(run: Run) -> pd.DataFrame:
     """Latency from generation to reception: message_type, latency_s (upper bin edge), n_delivered, share up to it."""
-    frame = _asked(run, _TRAFFIC, "", """
+    frame = _asked(
+        run,
+        _TRAFFIC,
+        "",
+        """
         SELECT message_type, latency_s, sum(n_delivered)::BIGINT AS n_delivered,
             sum(sum(n_delivered)) OVER (PARTITION BY message_type ORDER BY latency_s)
                 / sum(sum(n_delivered)) OVER (PARTITION BY message_type) AS share
         FROM latency_histogram GROUP BY message_type, latency_s ORDER BY message_type, latency_s
-    """)  # fmt: skip
+    """,
+    )
     lower_s = frame.latency_s.to_numpy(np.float64) * (1 + 1e-6)  # stored in single precision
     bin_ = np.searchsorted(LATENCY_EDGES_S, lower_s)
     frame["latency_s"] = LATENCY_EDGES_S[bin_.clip(max=len(LATENCY_EDGES_S) - 1)]
@@ -117,7 +139,11 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
     """
     what = f"two messages of type {message_type} in a row of any pair"
     is_too_short = run.sql("SELECT sum(n_delivered) > 0 AS some FROM radio").some.fillna(False)[0]
-    found = _asked(run, what, "it is too short. Run longer." if is_too_short else "", """
+    found = _asked(
+        run,
+        what,
+        "it is too short. Run longer." if is_too_short else "",
+        """
         WITH counts AS (
             SELECT pir_steps, sum(n_received)::BIGINT AS n_received, sum(n_censored)::BIGINT AS n_censored
             FROM packet_inter_reception WHERE message_type = $message_type GROUP BY pir_steps
@@ -127,7 +153,10 @@ def inter_reception(run: Run, message_type: MessageType = "cpm") -> pd.DataFrame
         SELECT pir_steps * $dt_s AS pir_s, greatest(pir_steps // $every - 1, 0) AS n_lost, n_received, n_censored,
             product(1 - n_received / n) OVER (ORDER BY pir_steps) AS longer
         FROM at_risk WHERE (SELECT sum(n_received) FROM counts) > 0 ORDER BY pir_steps
-    """, message_type=message_type, every=max(1, run.manifest.get("sense_every_steps", 1)))  # fmt: skip
+    """,
+        message_type=message_type,
+        every=max(1, run.manifest.get("sense_every_steps", 1)),
+    )
     return found if _sends_in_every_interval(run, message_type) else found.assign(n_lost=np.nan)
 
 
@@ -158,12 +187,17 @@ def cpm(run: Run) -> pd.DataFrame:
     of all objects that vehicles would report, in columns named as in the table `cpm_content`.
     """
     left_out = ", ".join(f"sum({name}) / nullif(sum(n_objects), 0) AS {name}" for name in LEFT_OUT)
-    return _asked(run, "detection messages", "no vehicle sent one. Raise fleet.penetration_p.", f"""
+    return _asked(
+        run,
+        "detection messages",
+        "no vehicle sent one. Raise fleet.penetration_p.",
+        f"""
         WITH rows AS (SELECT *, length_bytes > 0 AS sent FROM cpm_content)
         SELECT count_if(sent) AS n_sent, count_if(sent) / {_ROAD_S} AS rate_hz,
             avg(n_included) FILTER (sent) AS objects, avg(length_bytes) FILTER (sent) AS length_bytes, {left_out}
         FROM rows HAVING count_if(sent) > 0
-    """)  # fmt: skip
+    """,
+    )
 
 
 def cpm_left_out(run: Run) -> pd.DataFrame:
@@ -181,13 +215,18 @@ def clouds(run: Run) -> pd.DataFrame:
     offered_mbps and delivered_mbps (sent by, and received in whole sweeps by, one equipped vehicle on the road, mean),
     and complete (share of the sweeps that a vehicle within range receives whole).
     """
-    return _asked(run, "point clouds", 'none is sent. Set early_fusion.share to "objects" or "sweep".', f"""
+    return _asked(
+        run,
+        "point clouds",
+        'none is sent. Set early_fusion.share to "objects" or "sweep".',
+        f"""
         SELECT 8e-6 * sum(length_bytes) FILTER (sender IN (FROM vehicles SELECT vehicle WHERE equipped)) / {_ROAD_S}
                 AS offered_mbps,
             8e-6 * sum(length_bytes::DOUBLE * (n_received + n_received_late)) / {_ROAD_S} AS delivered_mbps,
             sum(n_received + n_received_late) / nullif(sum(n_in_range), 0) AS complete
         FROM clouds HAVING count(*) > 0
-    """)  # fmt: skip
+    """,
+    )
 
 
 def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
@@ -195,13 +234,19 @@ def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
 
     With relays pdr is NaN: vehicles receive messages from beyond range, which are not among those sent within range.
     """
-    found = _asked(run, _TRAFFIC, "no vehicle was equipped. Raise fleet.penetration_p.", """
+    found = _asked(
+        run,
+        _TRAFFIC,
+        "no vehicle was equipped. Raise fleet.penetration_p.",
+        """
         SELECT (floor(a.x_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS x_m,
             (floor(a.y_m::DOUBLE / $cell_m) + 0.5::DOUBLE) * $cell_m AS y_m,
             count(*) AS n, sum(cbr::DOUBLE) / count(*) AS cbr, sum(n_received) / nullif(sum(n_in_range), 0) AS pdr
         FROM vehicle_channel c JOIN actors a ON a.step = c.step AND a.actor = c.vehicle
         GROUP BY ALL ORDER BY ALL
-    """, cell_m=float(cell_m))  # fmt: skip
+    """,
+        cell_m=float(cell_m),
+    )
     return found.assign(pdr=np.nan) if _has_relays(run) else found
 
 

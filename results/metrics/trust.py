@@ -60,9 +60,15 @@ def suspect_from(run: Run) -> int:
 def server_values(run: Run) -> pd.DataFrame:
     """What metrics need of the table `trust`, of the run's variant; not to be changed."""
     columns = [
-        "step", "subject", "trust", "state", "n_evaluations", "n_evaluators", "newest_evaluation_age_s",
+        "step",
+        "subject",
+        "trust",
+        "state",
+        "n_evaluations",
+        "n_evaluators",
+        "newest_evaluation_age_s",
         "oldest_evaluation_age_s",
-    ]  # fmt: skip
+    ]
     return run.once("trust.server_values", lambda: run.variant_table("trust", columns))
 
 

@@ -145,7 +145,8 @@ class Load:
         for one in [one for one in self.sent if one[1] < number - self.goes_on]:
             del self.sent[one]
         keys = links.stations.key[row]
-        self.sent[kind, number] = _SentMessages(keys, row, until, pair[order], of[order])
+        sent = _SentMessages(keys, row, until, pair[order], of[order])
+        self.sent[kind, number] = sent
 
     def _receive(self, kind: RoundKind, sent_in: int, number: int, happened: MessageRound, stations: Stations) -> None:
         """Add the messages of a step that were received in one, if they count and their receivers can use them."""
