@@ -92,10 +92,26 @@ def in_parts(
     return found
 
 
+def beside(work: Callable[[], _Result]) -> Callable[[], _Result]:
+    """Let another thread work beside this one. The function that is returned waits for what the work returns.
+
+    Until then, nothing may change what the work reads. With one thread, it is done when its result is asked for.
+    """
+    n = n_threads()
+    if n < 2:
+        return work
+
+    def in_its_thread() -> _Result:
+        use_threads(n)
+        return work()
+
+    return _helpers().submit(in_its_thread).result
+
+
 def _helpers() -> ThreadPoolExecutor:
     """The threads that help this one. They wait for its next work, because to begin a thread takes 50 µs."""
     if not hasattr(_of_this_thread, "helpers"):
-        _of_this_thread.helpers = ThreadPoolExecutor(CORES)
+        _of_this_thread.helpers = ThreadPoolExecutor(2 * CORES)  # some may work beside this thread
     found: ThreadPoolExecutor = _of_this_thread.helpers
     return found
 

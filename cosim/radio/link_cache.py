@@ -1,6 +1,7 @@
 """Links and neighbours of the stations of a round, and the noise of jammers among them."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -8,6 +9,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.ragged import offsets, owner_of_rows, ranges
+from cosim.base.threads import beside
 from cosim.radio.channel import JammedStations, Links
 from cosim.radio.link_budget import from_db, links_between, los_pairs
 from cosim.radio.message_round import Stations
@@ -39,7 +41,7 @@ class LinkCache:
         knows_walls = los is not None and propagation.knows_walls
         sends = np.ones(len(stations), bool) if sends is None else sends
         found = los_pairs(xyz_m, propagation, los, slant_m(xyz_m, params.range_m), sends)
-        near = NeighbourList.of(xyz_m, params.range_m, found, knows_walls)
+        near = beside(partial(NeighbourList.of, xyz_m, params.range_m, found, knows_walls))
         links = links_between(
             xyz_m,
             stations.key,
@@ -56,7 +58,7 @@ class LinkCache:
             stations, abuse=None, key=stations.key.copy(), xyz_m=xyz_m.copy(),
             bodies=None if bodies is None else bodies.copy(),
         )  # fmt: skip  # the caller may go on to move its own
-        return LinkCache(kept, links, near, sends)
+        return LinkCache(kept, links, near(), sends)
 
     def and_also(self, other: "LinkCache") -> "LinkCache":
         """The links and neighbours of the same stations, of the stations that send here or there."""

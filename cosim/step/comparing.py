@@ -94,30 +94,16 @@ class Compared:
 
 
 def compare_objects(
-    exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts
+    exchange: Exchange, messages: Known, comparison: "Comparison", parts: Parts
 ) -> tuple[Compared, ObjectGroups]:
     """Group the detections that each vehicle knows, ask its own sweep about them, and evaluate them.
 
     Sweeps are not read again in this step.
     """
-    objects, senders, params = messages.objects, exchange.senders, parts.config.trust
-    sweeps = positioned.observed.sweeps
-    n_now = int(messages.ptr[len(senders)])  # detections of this step; those of earlier messages follow
+    objects, senders = messages.objects, exchange.senders
     with parts.watch("match"):
-        pairs = _pairs(messages, n_now, params)
         received = _with_own_identities(messages.received, senders)
         lists = received_lists(received, messages.ptr, objects.transmitted, senders.own)
-        # The evaluator's own position has an error, too.
-        own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
-        comparison = _Comparison(
-            messages=messages,
-            partners=Partners.of(pairs, len(messages.detections), params),
-            sweeps=sweeps,
-            bodies=positioned.world.boxes.take(exchange.sensing.row),
-            velocity_mps=np.nan_to_num(velocities(objects)),
-            accuracy=RelativeAccuracy(objects.variance_m2, own_m2),
-            parts=parts,
-        )
     watches = []
 
     def compare(first: int, last: int) -> _OfLists:
@@ -135,9 +121,9 @@ def compare_objects(
         detections=messages.detections,
         boxes=objects.boxes,
         of_seeds=SensorEvidence.concat([one.of_seeds for one in found]),
-        pairs=pairs,
-        from_own_m=_from_own_m(exchange, messages, n_now, sweeps.poses.origin_m, params),
-        accuracy=_accuracy(exchange, messages, positioned, parts),
+        pairs=comparison.pairs,
+        from_own_m=comparison.from_own_m,
+        accuracy=comparison.stated,
     )
     return compared, groups
 
@@ -165,10 +151,11 @@ class _OfLists(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Comparison:
-    """All that vehicles need to compare what they know with what they see."""
+class Comparison:
+    """All that vehicles need to compare what they know with what they see. It does not depend on who received what."""
 
     messages: Known
+    pairs: Pairs
     partners: Partners
     sweeps: Any
     bodies: Boxes
@@ -176,7 +163,31 @@ class _Comparison:
     velocity_mps: Float[ndarray, "d 2"]
     """Of each detection; 0 where it states none."""
     accuracy: "RelativeAccuracy"
+    from_own_m: Float[ndarray, "d"]
+    stated: StatedAccuracy | None
+    """These two as in `ObjectGroups`."""
     parts: Parts
+
+    @staticmethod
+    def of(exchange: Exchange, messages: Known, positioned: Positioned, parts: Parts) -> "Comparison":
+        """Of all detections in these messages."""
+        objects, params, sweeps = messages.objects, parts.config.trust, positioned.observed.sweeps
+        n_now = int(messages.ptr[len(exchange.senders)])  # detections of this step; those of earlier messages follow
+        pairs = _pairs(messages, n_now, params)
+        # The evaluator's own position has an error, too.
+        own_m2, _ = pose_variance(exchange.world.is_roadside[exchange.sensing.row], parts.config).T
+        return Comparison(
+            messages=messages,
+            pairs=pairs,
+            partners=Partners.of(pairs, len(messages.detections), params),
+            sweeps=sweeps,
+            bodies=positioned.world.boxes.take(exchange.sensing.row),
+            velocity_mps=np.nan_to_num(velocities(objects)),
+            accuracy=RelativeAccuracy(objects.variance_m2, own_m2),
+            from_own_m=_from_own_m(exchange, messages, n_now, sweeps.poses.origin_m, params),
+            stated=_accuracy(exchange, messages, positioned, parts),
+            parts=parts,
+        )
 
     def of_lists(self, lists: ObjectLists, watch: Stopwatch) -> _OfLists:
         """What the owners of these lists find."""

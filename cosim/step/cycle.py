@@ -8,7 +8,9 @@ second round of this length. Then every vehicle fuses with the trust that it kno
 evaluations that have reached it by t, and broadcasts trust at t. Roadside units pass this broadcast on during the
 round of evaluations.
 
-Only drivers make a later step depend on what vehicles fuse. Without them, a run fuses beside the next step.
+Only drivers make a later step depend on what vehicles fuse. Without them, a run fuses beside the next step. With more
+than one thread, servers publish while vehicles perceive, and the detections of all messages are paired while the
+channel decides who receives them. Such a stage counts for as long as the step waits for it.
 
 A message may outlast its round: its frames wait for the channel. It then arrives in a round of a later step
 (`cosim.step.late`). A detection message is too old at t + timeout (`radio.timeout_s`), an evaluation message at
@@ -28,15 +30,17 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.base.deferred import Deferred
+from cosim.base.threads import beside
 from cosim.radio.message_round import RoundKind
-from cosim.step import tracking
 from cosim.step.attack_outcomes import attack_outcomes
 from cosim.step.broadcast import broadcast_detections, broadcast_evaluations, hear
 from cosim.step.claims import claims_of
-from cosim.step.comparing import compare_objects
+from cosim.step.comparing import Comparison, compare_objects
 from cosim.step.evaluate import evaluate_objects
 from cosim.step.exchange import Exchange, Times, Vehicles, stations_of
 from cosim.step.fuse import beliefs_of, fuse_objects
+from cosim.step.inbox import Inbox
+from cosim.step.known import Known
 from cosim.step.late import joined, of_this_step
 from cosim.step.listing import list_objects, senders_among, senders_of
 from cosim.step.parts import Parts
@@ -45,6 +49,7 @@ from cosim.step.reports import carrier_of, deliver_late, next_carried, update_tr
 from cosim.step.result import Sensed, StepResult
 from cosim.step.sense import identify, mislead, perceive, position, track_objects
 from cosim.step.state import State
+from cosim.step.tracking import count_in_encounters, track_attacks, track_receptions
 from cosim.step.trust import (
     control_relays,
     follow_encounters,
@@ -127,7 +132,7 @@ def _cycle(
     """
     config, watch = parts.config, parts.watch
     with watch("server"):
-        trust, pseudonyms, published = publish(s.trust, s.pseudonyms, vehicles, now, parts)
+        publishing = beside(partial(publish, s.trust, s.pseudonyms, vehicles, now, parts))
     observed = perceive(world, vehicles, precomputed, parts)
     with watch("attack"):
         sends = senders_among(world, vehicles)
@@ -136,6 +141,8 @@ def _cycle(
     position_errors, positioned = position(world, vehicles, observed, s.position_errors, config)
     with watch("track objects"):
         tracks, positioned = track_objects(world, vehicles, positioned, s.tracks, now, parts)
+    with watch("server"):
+        trust, pseudonyms, published = publishing()
     with watch("attack"):
         pseudonyms, senders = senders_of(world, vehicles, attacks, pseudonyms, parts)
         stations = stations_of(world, vehicles.row, parts.rsus, config.radio.antenna_above_roof_m)
@@ -143,6 +150,13 @@ def _cycle(
         cpm, listed = list_objects(exchange, positioned, acceleration_mps2, s.cpm, s.medium, parts)
     with watch("trust"):
         exchange = control_relays(trust, s.known_senders, exchange, pseudonyms, parts)
+
+    def prepare() -> tuple[Inbox, Known, Comparison]:
+        inbox, known = s.inbox.known(exchange, listed, parts)
+        return inbox, known, Comparison.of(exchange, known, positioned, parts)
+
+    with watch("match"):
+        preparing = beside(prepare)
     with watch("radio"):
         medium = s.medium if precomputed.with_links is None else precomputed.with_links(s.medium)
         sent_clouds = None if parts.early is None else parts.early.offered(observed)
@@ -155,18 +169,24 @@ def _cycle(
         cpm = hear(cpm, exchange, positioned, listed, cpms, config)
     carry_evaluations = RoundKind.EVALUATION if config.radio.evaluations == "alone" else RoundKind.CPM
     with watch("match"):
-        inbox = s.inbox.with_late(exchange, cpms.late, carry_evaluations)
-        inbox, known = inbox.known(exchange, listed, cpms, parts)
-    compared, groups = compare_objects(exchange, known, positioned, parts)
+        inbox, known, comparison = preparing()
+        inbox = inbox.with_late(exchange, cpms.late, carry_evaluations)
+        known = inbox.received(exchange, known, cpms)
+    compared, groups = compare_objects(exchange, known, comparison, parts)
+    del comparison, preparing  # its memory is large
     if precomputed.sweeps_are_read is not None:
         precomputed.sweeps_are_read()
     with watch("evaluate"):
         claims = claims_of(exchange, known, compared, listed.tracks, parts)
         evaluated = evaluate_objects(exchange, known, compared, claims, config)
+    with watch("fuse"):
+        keeping = beside(partial(inbox.next, exchange, listed, groups, evaluated))
     with watch("radio"):
         trust, on_rsus = parts.trust.pending_rsu_broadcast(trust, now.step, now.evaluated_s)
         medium, reports = broadcast_evaluations(exchange, evaluated, on_rsus, medium, parts)
         rounds = cpms, reports
+    with watch("track"):
+        tracking_rounds = beside(partial(track_receptions, s.inter_reception, exchange, rounds, s.inbox))
     with watch("trust"):
         trust, informed = receive_from_rsus(trust, exchange, on_rsus, rounds, published.informed, parts)
         piggybacked, carrier = carrier_of(exchange, evaluated, s.piggybacked, rounds, parts)
@@ -186,10 +206,9 @@ def _cycle(
         if config.driver.model != "none" or any(scorer is not None for scorer in scorers):
             fused()  # drivers react to it, or it depends on models that the next step changes
         received_cpms = joined([cpms.accepted.vehicles, *of_this_step(exchange, reports.late, RoundKind.CPM)])
-        received_reports = carrier.receptions.vehicles
-        if carry_evaluations == RoundKind.CPM:
-            received_reports = received_cpms
-        inbox = inbox.next(exchange, listed, groups, evaluated, (received_cpms, received_reports))
+        own_round = carry_evaluations == RoundKind.EVALUATION
+        received_reports = carrier.receptions.vehicles if own_round else received_cpms
+        inbox = keeping().with_received(exchange, inbox, received_cpms, received_reports)
         clouds, early = s.clouds, None
         if parts.early is not None and sent_clouds is not None:
             late_clouds = (*cpms.late_clouds, *reports.late_clouds)
@@ -203,10 +222,9 @@ def _cycle(
             kept_s = memory_s(parts.driver) + parts.schedule.longest_steps * config.traffic.step_s
             reaction_truth = reaction_truth.next(exchange, listed, kept_s, config.traffic.step_s)
     with watch("track"):
-        rounds = tracking.without_late_copies(rounds, exchange, s.inbox)
-        attack_start = tracking.track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
-        inter_reception, reach = tracking.track_receptions(s.inter_reception, exchange, rounds)
-        encounters = tracking.count_in_encounters(s.encounters, exchange, rounds, looked_up, known, compared)
+        attack_start = track_attacks(s.attack_start, exchange, positioned.observed, listed, evaluated)
+        rounds, inter_reception, reach = tracking_rounds()
+        encounters = count_in_encounters(s.encounters, exchange, rounds, looked_up, known, compared)
         outcomes = Deferred(lambda: attack_outcomes(exchange, positioned.world, known, compared, fused()))
     sensed = Sensed(
         vehicles=vehicles,

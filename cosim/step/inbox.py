@@ -113,8 +113,8 @@ class Inbox:
         row, is_there = rows_of(asked, held)
         return row, is_there & (sender >= 0) & (step >= oldest)
 
-    def known(self, exchange: Exchange, listed: Listed, cpms: Broadcast, parts: Parts) -> tuple["Inbox", Known]:
-        """The messages of this step, and those of the inbox that can still be used.
+    def known(self, exchange: Exchange, listed: Listed, parts: Parts) -> tuple["Inbox", Known]:
+        """The messages of this step, and those of the inbox that can still be used, as if nobody received them.
 
         Returns
         -------
@@ -127,8 +127,6 @@ class Inbox:
             is_old = now - self.step >= schedule.longest_steps
             has_left = ~np.isin(self.sender >> 16, exchange.vehicles.actor)
             inbox = self._without(is_old | has_left)
-        received = cpms.accepted.vehicles
-        uses = _of_sensing(exchange, inbox.cpms, received)
         interval, _ = schedule.of_vehicles(exchange.sensing.name_key)
         known = Known(
             objects=listed.objects,
@@ -138,7 +136,7 @@ class Inbox:
             withheld=listed.withheld,
             vehicle=senders.vehicle,
             pseudonym=senders.pseudonym,
-            received=uses,
+            received=Uses(_rows(), _rows()),
             step=np.full(len(senders), now),
             since=now - interval + 1,
             earlier_m=inbox.from_own_m,
@@ -190,11 +188,17 @@ class Inbox:
             withheld=np.concatenate([now.withheld, self.withheld]),
             vehicle=np.concatenate([now.vehicle, vehicle]),
             pseudonym=pseudonym,
-            received=_newest(now.received, pseudonym, step),
             step=step,
             earlier_pairs=(d + i, d + j, iou),
             moved_m=moved_m,
         )
+
+    def received(self, exchange: Exchange, known: Known, cpms: Broadcast) -> Known:
+        """The messages that `known` returned, with who received them: `cpms` in this step, and earlier."""
+        uses = _of_sensing(exchange, self.cpms, cpms.accepted.vehicles)
+        if len(self.step):
+            uses = _newest(uses, known.pseudonym, known.step)
+        return replace(known, received=uses)
 
     def evaluations_used(
         self, exchange: Exchange, evaluated: Evaluated, n_now: int
@@ -237,15 +241,8 @@ class Inbox:
         """The evaluation messages that the vehicles that sense use: `received` in this step, and earlier."""
         return _of_sensing(exchange, self.reports, received)
 
-    def next(
-        self,
-        exchange: Exchange,
-        listed: Listed,
-        groups: ObjectGroups,
-        evaluated: Evaluated,
-        receptions: tuple[Receptions, Receptions],
-    ) -> "Inbox":
-        """Add the messages of this step. `receptions` are those of detection messages and of evaluation messages."""
+    def next(self, exchange: Exchange, listed: Listed, groups: ObjectGroups, evaluated: Evaluated) -> "Inbox":
+        """The inbox with the messages of this step, as if nobody received these."""
         world, senders = exchange.world, exchange.senders
         n, d = len(self.step), len(self.objects)
         n_now = len(listed.objects)
@@ -256,13 +253,6 @@ class Inbox:
 
         moved = np.roll(np.arange(d + n_now), n_now)  # rows of `Known` as rows of the new inbox: this step's come last
         old = self.evaluated
-        cpms, reports = (
-            Uses(
-                np.concatenate([held.receiver, exchange.vehicles.actor[now.receiver]]),
-                np.concatenate([held.message, n + now.message]),
-            )
-            for held, now in zip((self.cpms, self.reports), receptions, strict=True)
-        )
         lists, _, sent = evaluated.of_detections()
         return Inbox(
             step=np.concatenate([self.step, np.full(len(senders), world.step)]),
@@ -283,9 +273,19 @@ class Inbox:
                 np.concatenate([self.evaluations.evaluation, sent.evaluation]),
                 np.concatenate([self.evaluations.visibility, sent.visibility]),
             ),
-            cpms=cpms,
-            reports=reports,
+            cpms=self.cpms,
+            reports=self.reports,
         )
+
+    def with_received(self, exchange: Exchange, held: "Inbox", cpms: Uses, reports: Receptions | Uses) -> "Inbox":
+        """With the receptions that `held`, the inbox before this step's messages, has, and those of these messages."""
+        n, actor = len(held.step), exchange.vehicles.actor
+
+        def both(old: Uses, new: Receptions | Uses) -> Uses:
+            receiver = np.concatenate([old.receiver, actor[new.receiver]])
+            return Uses(receiver, np.concatenate([old.message, n + new.message]))
+
+        return replace(self, cpms=both(held.cpms, cpms), reports=both(held.reports, reports))
 
     def _without(self, dropped: Bool[ndarray, "m"]) -> "Inbox":
         """The inbox without some messages, their detections, and what refers to these."""
@@ -335,9 +335,9 @@ def _with_new(held: Uses, more: Uses, n_messages: int) -> Uses:
     row, is_held = rows_of(known.key(), found)
     is_new = np.ones(len(found), bool)
     is_new[row[is_held]] = False
-    new = found[is_new]
-    receiver = np.concatenate([held.receiver, new >> 32])
-    return Uses(receiver, np.concatenate([held.message, new & 0xFFFFFFFF]))
+    more = Uses.of_key(found[is_new])
+    receiver = np.concatenate([held.receiver, more.receiver])
+    return Uses(receiver, np.concatenate([held.message, more.message]))
 
 
 def _of_sensing(exchange: Exchange, held: Uses, received: Receptions) -> Uses:

@@ -26,6 +26,11 @@ class Uses(NamedTuple):
         """A number for each row, in the order of the rows."""
         return self.receiver.astype(np.int64) << 32 | self.message
 
+    @staticmethod
+    def of_key(key: Int[ndarray, "r"]) -> "Uses":
+        """Rows from their numbers."""
+        return Uses(key >> 32, key & 0xFFFFFFFF)
+
 
 def without(uses: Uses, others: Uses) -> Uses:
     """Those of these uses that are not among the others."""

@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base.ragged import differs_from_last, rows_of
+from cosim.base.ragged import distinct, rows_of
 from cosim.radio.message_round import EarlierMessages, LinkReceptions, MessageRound, Receptions, RoundKind, by_link
 from cosim.step.exchange import Exchange
+from cosim.step.known import Uses
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +68,7 @@ def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKi
     return found
 
 
-def joined(parts: list[Receptions]) -> Receptions:
-    """All receptions, each pair of receiver and message once, sorted by receiver, then message."""
-    if len(parts) == 1:
-        return parts[0]
-    everything = Receptions.concat(parts)
-    order = np.lexsort((everything.received_s, everything.message, everything.receiver))
-    everything = everything.take(order)
-    pair = everything.receiver << 32 | everything.message
-    return everything.take(differs_from_last(pair))
+def joined(parts: list[Receptions]) -> Uses:
+    """Receivers and messages of all receptions, each pair once, sorted by receiver, then message."""
+    found, _ = distinct(np.concatenate([Uses(part.receiver, part.message).key() for part in parts]))
+    return Uses.of_key(found)

@@ -43,12 +43,16 @@ class Reach:
 
 
 def track_receptions(
-    trackers: ReceptionTrackers, exchange: Exchange, rounds: Rounds
-) -> tuple[ReceptionTrackers, tuple[Reach, Reach]]:
-    """Update the inter-reception times with both rounds; return the vehicles in range and the ended intervals."""
+    trackers: ReceptionTrackers, exchange: Exchange, rounds: Rounds, inbox: Inbox
+) -> tuple[Rounds, ReceptionTrackers, tuple[Reach, Reach]]:
+    """Update the inter-reception times with both rounds; return the vehicles in range and the ended intervals.
+
+    The rounds are returned as `_without_late_copies`.
+    """
+    rounds = _without_late_copies(rounds, exchange, inbox)
     first, cpms = _track_round(trackers[0], exchange, rounds, RoundKind.CPM)
     second, reports = _track_round(trackers[1], exchange, rounds, RoundKind.EVALUATION)
-    return (first, second), (cpms, reports)
+    return rounds, (first, second), (cpms, reports)
 
 
 def _track_round(
@@ -97,7 +101,7 @@ def late_of(rounds: Rounds, kind: RoundKind, clouds: bool = False) -> list[LateM
     return [messages for messages in late if messages.kind == kind]
 
 
-def without_late_copies(rounds: Rounds, exchange: Exchange, inbox: Inbox) -> Rounds:
+def _without_late_copies(rounds: Rounds, exchange: Exchange, inbox: Inbox) -> Rounds:
     """The rounds, in which no vehicle receives a late copy of a detection message that it has already.
 
     Late copies of a message are messages of their own (`LateMessages`), and an attacker may send many. `inbox` has the

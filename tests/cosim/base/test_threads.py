@@ -3,11 +3,12 @@
 import os
 import signal
 import time
+from threading import Event, get_ident
 
 import numpy as np
 import pytest
 
-from cosim.base.threads import in_parts, in_ranges, n_threads, use_threads
+from cosim.base.threads import beside, in_parts, in_ranges, n_threads, use_threads
 
 
 @pytest.fixture(params=[1, 2])
@@ -55,6 +56,31 @@ def test_what_parts_return_is_in_their_order(threads, most):
     per_thread = 1 if min(threads, most) > 1 else threads
     assert in_parts(work, [0, 3, 3, 9], most) == [(0, 3, per_thread), (3, 3, per_thread), (3, 9, per_thread)]
     assert n_threads() == threads
+
+
+def test_work_beside_this_thread(threads):
+    """It goes on while this thread divides work of its own, and what goes wrong there is raised where it is asked for.
+
+    With one thread, nothing is done before somebody asks.
+    """
+    go_on, begun = Event(), []
+
+    def work():
+        begun.append(get_ident())
+        go_on.wait(10)
+        return n_threads()
+
+    def fail():
+        raise ValueError("no")
+
+    first, second = beside(work), beside(fail)
+    assert in_parts(lambda begin, end: end, [0, 1, 2]) == [1, 2]
+    assert not (begun and threads == 1)
+    go_on.set()
+    assert first() == threads
+    assert (begun == [get_ident()]) == (threads == 1)
+    with pytest.raises(ValueError, match="no"):
+        second()
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # that a process with threads forks
