@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.kernel import compiled, inlined
-from cosim.base.ragged import ranges, stable_order
+from cosim.base.ragged import ranges, rows_of, stable_order
 from cosim.base.rows import Rows
 from cosim.base.threads import in_ranges
 
@@ -258,13 +258,14 @@ def track(
     is_each_once = (np.diff(observers.number) > 0).all()
     if not is_each_once or (np.diff(found.observer) < 0).any():
         raise ValueError("observers are sorted by number, each once, and detections by observer; these are not.")
-    row = _rows_of(observers.number, found.observer)
-    if (row < 0).any():
-        raise ValueError(f"a detection belongs to observer {found.observer[np.argmin(row)]}, which does not sense now.")
+    row, senses = rows_of(found.observer, observers.number)
+    if not senses.all():
+        raise ValueError(
+            f"a detection belongs to observer {found.observer[np.argmin(senses)]}, which does not sense now."
+        )
     old = memory.tracks
     # Tracks of observers that sense now are due; the others wait.
-    at = _rows_of(observers.number, old.observer)
-    due = at >= 0
+    at, due = rows_of(old.observer, observers.number)
     now_s = np.full(len(old), observers.time_s.max(initial=-np.inf))
     now_s[due] = observers.time_s[at[due]]
     if (now_s[due] < old.time_s[due]).any():
@@ -767,14 +768,6 @@ def _near(first, end, track_xy, found_xy, most_m2, group_of_track, group_of_foun
                 t[n], d[n] = i, k
                 n += 1
     return t[:n], d[:n]
-
-
-def _rows_of(keys: Int[ndarray, "k"], wanted: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
-    """Row of each wanted key among the sorted keys; -1 if it is not there."""
-    row = np.searchsorted(keys, wanted)
-    row[row == len(keys)] = -1
-    row[keys[row] != wanted if len(keys) else slice(None)] = -1
-    return row
 
 
 def _numbered(

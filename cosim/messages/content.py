@@ -120,10 +120,13 @@ def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
 
     A self report claims a speed along its heading, a tracked object a velocity.
     """
-    yaw_rad = listed.boxes.yaw_rad
+    found = listed.velocity_mps.copy()
+    rows = np.flatnonzero(np.isnan(found).any(axis=1))
+    yaw_rad = listed.boxes.yaw_rad[rows]
     heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
-    along_mps = listed.speed_mps[:, None] * heading
-    return np.where(np.isnan(listed.velocity_mps), along_mps, listed.velocity_mps)
+    along_mps = listed.speed_mps[rows, None] * heading
+    found[rows] = np.where(np.isnan(found[rows]), along_mps, found[rows])
+    return found
 
 
 NETWORK_BYTES, SIGNATURE_BYTES = 44, 96

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
-from cosim.base.ragged import ptr_of
+from cosim.base.ragged import as_slice, expand, ptr_of
 from cosim.radio import channel, dcc
 from cosim.radio.channel import Access, ChannelRules, Links, Packets, WindowResult
 from cosim.radio.channel_state import ChannelState
@@ -392,7 +392,9 @@ class _RoundEnd:
         for name in ("unit", "transmitter", "hop", "on_air", "start_ns", "end_ns"):
             frames[name] = getattr(sent, name)
         frames["is_decided"] = ~self.waits
-        received = np.flatnonzero((attempts.outcome == Outcome.RECEIVED) & self.goes_on[attempts.message])
+        going = np.flatnonzero(self.goes_on[sent.message])
+        rows, of = expand(attempts.first[going], attempts.first[going + 1])
+        got = attempts.outcome[rows] == Outcome.RECEIVED
         refused = np.zeros(0, np.int64) if plan.refused is None else plan.refused
         copies = plan.copies if forwarding is None else forwarding.copies
         everything = Underway(
@@ -401,8 +403,8 @@ class _RoundEnd:
             units=plan.units,
             frames=frames,
             copies=copies,
-            got_frame=np.searchsorted(attempts.first, received, side="right") - 1,
-            got_by=attempts.receiver[received],
+            got_frame=going[of[got]],
+            got_by=attempts.receiver[rows[got]],
             refused_message=refused >> 32,
             refused_by=refused & 0xFFFFFFFF,
         )
@@ -486,12 +488,13 @@ class _Outcomes(NamedTuple):
             station = station[chosen]
             receptions = receptions.take(row[receptions.message] != NONE)
             receptions = replace(receptions, message=row[receptions.message])
-            shown = row[of_attempt] != NONE
-            shown &= ~np.repeat(self.is_reported, np.diff(attempts.first))
+            of_frame = row[of_frame]
+            is_chosen = of_frame != NONE
+            on_air &= is_chosen
+            # Mostly the first ones, which need not be copied.
+            shown = as_slice(np.flatnonzero(np.repeat(is_chosen & ~self.is_reported, np.diff(attempts.first))))
             of_attempt = row[of_attempt[shown]]
             columns = {name: column[shown] for name, column in columns.items()}
-            of_frame = row[of_frame]
-            on_air &= of_frame != NONE
         outcomes = FrameOutcomes(
             message=of_attempt,
             **columns,

@@ -136,7 +136,7 @@ def _numbers(messages: LateMessages, exchange: Exchange, inbox: Inbox) -> Int[nd
 
 
 def _received(broadcast: Broadcast, asked: Int[ndarray, "m"], exchange: Exchange, inbox: Inbox) -> Int[ndarray, "r"]:
-    """A number for each message and vehicle that received it in its own round, or in an earlier step if it is asked."""
+    """A number for each message that is asked and each vehicle that received it, in its own round or earlier."""
     is_asked = np.zeros(len(inbox.step) + len(exchange.senders), bool)
     is_asked[asked[asked >= 0]] = True
     held = inbox.cpms
@@ -145,7 +145,8 @@ def _received(broadcast: Broadcast, asked: Int[ndarray, "m"], exchange: Exchange
     before = held.message[rows[is_there]] << _ROW_BITS | receiver[is_there]
     now = broadcast.links.vehicles
     number = len(inbox.step) + now.message
-    return np.append(before, number << _ROW_BITS | now.receiver)
+    rows = np.flatnonzero(is_asked[number])
+    return np.append(before, number[rows] << _ROW_BITS | now.receiver[rows])
 
 
 def _first_receptions(
