@@ -52,7 +52,8 @@ def offsets(count: Int[ndarray, "r"]) -> Int[ndarray, "r+1"]:
 def place_in_group(group: Int[ndarray, "m"]) -> Int[ndarray, "m"]:
     """How many rows of the same group come before each row. Groups are ascending."""
     first = np.flatnonzero(differs_from_last(group))
-    return np.arange(len(group)) - np.repeat(first, np.diff(np.append(first, len(group))))
+    size = np.diff(np.append(first, len(group)))
+    return np.arange(len(group)) - np.repeat(first, size)
 
 
 def owner_of_rows(count: Int[ndarray, "r"]) -> Int[ndarray, "m"]:

@@ -125,7 +125,8 @@ def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
     yaw_rad = listed.boxes.yaw_rad[rows]
     heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
     along_mps = listed.speed_mps[rows, None] * heading
-    found[rows] = np.where(np.isnan(found[rows]), along_mps, found[rows])
+    stated = found[rows]
+    found[rows] = np.where(np.isnan(stated), along_mps, stated)
     return found
 
 

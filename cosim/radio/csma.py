@@ -492,7 +492,8 @@ class _Outcomes(NamedTuple):
             is_chosen = of_frame != NONE
             on_air &= is_chosen
             # Mostly the first ones, which need not be copied.
-            shown = as_slice(np.flatnonzero(np.repeat(is_chosen & ~self.is_reported, np.diff(attempts.first))))
+            is_new = np.repeat(is_chosen & ~self.is_reported, np.diff(attempts.first))
+            shown = as_slice(np.flatnonzero(is_new))
             of_attempt = row[of_attempt[shown]]
             columns = {name: column[shown] for name, column in columns.items()}
         outcomes = FrameOutcomes(

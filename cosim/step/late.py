@@ -70,5 +70,6 @@ def of_this_step(exchange: Exchange, late: Iterable[LateMessages], kind: RoundKi
 
 def joined(parts: list[Receptions]) -> Uses:
     """Receivers and messages of all receptions, each pair once, sorted by receiver, then message."""
-    found, _ = distinct(np.concatenate([Uses(part.receiver, part.message).key() for part in parts]))
+    keys = [Uses(part.receiver, part.message).key() for part in parts]
+    found, _ = distinct(np.concatenate(keys))
     return Uses.of_key(found)
