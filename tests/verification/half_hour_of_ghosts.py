@@ -30,6 +30,7 @@ BATCH_S = 150.0
 FIRST_S = 30.0
 """Before this, ghosts have hardly begun: left out."""
 ARM = ["attacks.0.share_p", "trust.method", "trust.model"]
+"""Keys that tell the arms of a study apart, as far as it sweeps them."""
 
 
 def of_run(path: Path) -> pd.DataFrame:
@@ -58,7 +59,7 @@ def table(study: Path) -> pd.DataFrame:
     parts = []
     for point in points.to_dict("records"):
         found = of_run(study / "runs" / point["run"])
-        arm = f"{point[ARM[0]]:g} {point[ARM[1]]} {point[ARM[2]]}"
+        arm = " ".join(f"{point[key]:g}" if key == ARM[0] else point[key] for key in ARM if key in point)
         parts.append(found.assign(arm=arm, replicate=point["replicate"], stretch=np.arange(len(found))))
     return pd.concat(parts, ignore_index=True)
 
