@@ -38,6 +38,9 @@ R = TypeVar("R", pa.Table, pa.RecordBatch)
 
 ENDED = ("finished", "interrupted")
 """Statuses of a run that ended with everything written."""
+WINDOW_S = "floor(step * $dt_s / $every_s + 1e-9) * $every_s"
+"""In SQL: when the window of `$every_s` begins in which a step lies [s]. A little is added, because 43 x 0.1 / 0.1 is
+below 43 in binary numbers."""
 _ATTEMPTS = 20
 """How often the program tries to read a run that is being written."""
 _PAUSE_S = 0.05

@@ -14,7 +14,7 @@ from results.metrics import lookups
 from results.metrics.encounters import DEFINITION, definitions, named
 from results.metrics.intervals import plain_columns, ratio, share, without_interval
 from results.metrics.lookups import AGES, FRESH_S, no_lookups
-from results.run import Run
+from results.run import WINDOW_S, Run
 
 STATES = ("evaluated", "unevaluated", "stale", "no value")
 """States of a value that is looked up, in the order of `LookupState`. Tables call the last one `no_value`."""
@@ -231,7 +231,7 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     shares = ", ".join(f"count_if(state = '{label}') / count(*) AS \"{name}\"" for label, name in kinds)
     return run.sql(
         f"""
-        SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {shares}
+        SELECT {WINDOW_S} AS time_s, {shares}
         FROM trust_lookups WHERE variant = $variant GROUP BY time_s ORDER BY time_s
     """,
         every_s=every_s,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.base.codes import DISTANCE_BIN_M, LATENCY_EDGES_S
-from results.run import Run
+from results.run import WINDOW_S, Run
 
 MessageType = Literal["cpm", "evaluation"]
 
@@ -58,7 +58,7 @@ def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
         _TRAFFIC,
         _NOBODY,
         f"""
-        SELECT floor(step * $dt_s / $every_s + 1e-9) * $every_s AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
+        SELECT {WINDOW_S} AS time_s, {_PDR}, avg(cbr::DOUBLE) AS cbr
         FROM radio GROUP BY time_s HAVING sum(n_in_range) > 0 ORDER BY time_s
     """,
         every_s=every_s,

@@ -2,14 +2,14 @@
 
 import pandas as pd
 
-from results.run import Run
+from results.run import WINDOW_S, Run
 
 _RATIOS = """
     sum(e.n_evaluations) / nullif(sum(n_looks), 0) AS trust,
     sum(f.n_evaluations) / nullif(sum(n_evaluators), 0) AS fused,
     sum(n_echoes) / nullif(sum(e.n_evaluations), 0) AS echoes,
     sum(n_copies) / nullif(sum(e.n_evaluations), 0) AS copies
-    FROM evidence e LEFT JOIN fused_evidence f ON f.step = e.step AND f.variant = $variant
+    FROM evidence e LEFT JOIN (FROM fused_evidence WHERE variant = $variant) f USING (step)
 """
 
 
@@ -32,5 +32,4 @@ def evaluators_per_object(run: Run) -> float:
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
     """A row per window of time: time_s (of their start) and the columns of `multiplicity`."""
-    time_s = "floor(e.step * $dt_s / $every_s + 1e-9) * $every_s AS time_s"
-    return run.sql(f"SELECT {time_s}, {_RATIOS} GROUP BY time_s ORDER BY time_s", every_s=every_s)
+    return run.sql(f"SELECT {WINDOW_S} AS time_s, {_RATIOS} GROUP BY time_s ORDER BY time_s", every_s=every_s)
