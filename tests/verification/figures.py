@@ -2,7 +2,7 @@
 
 `make figures`, or `python -m tests.verification.figures [NAME...]`. Each command is a process of its own. What it
 prints goes to `build/figures/NAME.txt`, and lines that differ from those of the last time are printed. Without names,
-all are made, which takes some five hours on two cores. Pages are changed by hand, because their sentences may have
+all are made, which takes some eight hours on two cores. Pages are changed by hand, because their sentences may have
 to change with the figures. `make pages` records the outputs that pages show as they are, and `make bench` measures
 speed, which differs each time.
 """
@@ -25,13 +25,15 @@ class Figure(NamedTuple):
 
     page: str
     command: str
-    """As the page names it. `cosim sweep` is followed by `cosim measure`."""
+    """As the page names it. `cosim run` and `cosim sweep` are followed by `cosim measure` if nothing else follows."""
     more: tuple[str, ...] = ()
     """Further arguments; FOLDER stands for an empty folder."""
+    then: tuple[str, ...] = ()
+    """Commands that follow."""
 
 
 FIGURES = {
-    "default": Figure(f"{PAGES}/tutorial/first-run.md", "cosim run", ("--out", "FOLDER")),
+    "default": Figure(f"{PAGES}/tutorial/first-run.md", "cosim run"),
     "compare": Figure(f"{PAGES}/models/validation.md", "cosim compare", ("--out", "FOLDER")),
     "accuracy": Figure(
         f"{PAGES}/models/accuracy.md", "python -m tests.verification.stated_accuracy", ("FOLDER", "10", "150")
@@ -49,6 +51,27 @@ FIGURES = {
     "encounters": Figure("cosim/studies/README.md", "cosim sweep encounters"),
     "strangers": Figure(f"{PAGES}/models/validation.md", "cosim sweep strangers"),
     "revocation": Figure(f"{PAGES}/models/validation.md", "cosim sweep revocation"),
+    "benchmark": Figure(
+        f"{PAGES}/howto/benchmark.md",
+        "cosim benchmark --make",
+        ("--evidence", "FOLDER"),
+        ("cosim benchmark --all --evidence FOLDER",),
+    ),
+    "twelve_attacks": Figure(
+        "trust/README.md",
+        "python -m tests.verification.attack_evidence",
+        ("FOLDER", "helsinki", "1"),
+        ("python -m tests.verification.twelve_attacks FOLDER FOLDER/table.csv FOLDER/helsinki-1.pickle",),
+    ),
+    "two_false_kinds": Figure("trust/README.md", "python -m tests.verification.two_false_kinds", ("FOLDER",)),
+    "ghosts_in_shadows": Figure(
+        "cosim/attacks/README.md", "python -m tests.verification.ghosts_in_shadows", ("FOLDER",)
+    ),
+    "half_hour_of_ghosts": Figure(
+        "cosim/addons/driver/README.md",
+        "cosim sweep safety_half_hour",
+        then=("python -m tests.verification.half_hour_of_ghosts FOLDER",),
+    ),
     "whitewashing": Figure("cosim/attacks/README.md", "cosim sweep whitewashing"),
     "rings": Figure("cosim/attacks/README.md", "python -m tests.verification.rings", ("FOLDER",)),
     "on_off": Figure("cosim/attacks/README.md", "python -m tests.verification.on_off", ("FOLDER",)),
@@ -63,14 +86,16 @@ FIGURES = {
 def words(name: str, folder: Path) -> list[list[str]]:
     """The commands of a figure, one after the other."""
     figure = FIGURES[name]
-    program, *given = figure.command.split()
-    started = [sys.executable] if program == "python" else [sys.executable, "-m", "cosim"]
-    more = [str(folder) if word == "FOLDER" else word for word in figure.more]
-    if given[0] == "sweep":
-        return [[*started, *given, *more, "--out", str(folder)], [*started, "measure", str(folder)]]
-    if given[0] == "run":
-        return [[*started, *given, *more], [*started, "measure", str(folder)]]
-    return [[*started, *given, *more]]
+    first = [*figure.command.split(), *figure.more]
+    then = figure.then
+    if first[1] in ("run", "sweep"):
+        then = then or ("cosim measure FOLDER",)
+        first += ["--out", "FOLDER"]
+    commands = []
+    for program, *given in (first, *(command.split() for command in then)):
+        started = [sys.executable] if program == "python" else [sys.executable, "-m", "cosim"]
+        commands.append([*started, *(word.replace("FOLDER", str(folder)) for word in given)])
+    return commands
 
 
 def make(name: str) -> bool:

@@ -130,6 +130,7 @@ def test_rows_are_stored_with_the_set_and_kept(folder):
     assert [row["model"] for row in rows] == ["beta"] and not remark and rows[0]["worst_case"]["budget"] == 6
     more, _ = make("beta", "mate")
     assert [row["model"] for row in more] == ["beta", "mate"] and more[0] == rows[0]
+    assert "mate" not in table.ADAPTED and more[1]["worst_case"] is None
     text = (folder / "set" / table.TABLE).read_text()
     (folder / "set" / table.TABLE).write_text(text.replace(table.digest(), "0" * 12))
     assert "computed by other code" in table.stored(tiny_set(), folder / "set")[1]
