@@ -67,6 +67,8 @@ FIGURES = {
     "ghosts_in_shadows": Figure(
         "cosim/attacks/README.md", "python -m tests.verification.ghosts_in_shadows", ("FOLDER",)
     ),
+    "dummies": Figure(f"{PAGES}/models/validation.md", "python -m tests.verification.dummies", ("FOLDER",)),
+    "witnesses": Figure(f"{PAGES}/howto/roadside.md", "cosim sweep witnesses"),
     "half_hour_of_ghosts": Figure(
         "cosim/addons/driver/README.md",
         "cosim sweep safety_half_hour",
