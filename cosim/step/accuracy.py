@@ -228,7 +228,10 @@ def aged(listed: Detections, age_s: Float[ndarray, "d"], params: TrackingParams)
     return replace(listed, variance_m2=listed.variance_m2 + more, relative_m2=listed.relative_m2 + more)
 
 
-def _along_axes(variance: Float[ndarray, "d 2"], axis: Float[ndarray, "d 2"]) -> Float[ndarray, "d 3"]:
+def _along_axes(
+    variance: Float[ndarray, "d 2"],
+    axis: Float[ndarray, "d 2"],
+) -> Float[ndarray, "d 3"]:
     """Variances xx, xy, yy from those along and across unit vectors."""
     along, across = variance.T
     cos, sin = axis.T

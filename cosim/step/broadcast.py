@@ -28,7 +28,7 @@ from cosim.step.exchange import Exchange, OnAir, Senders
 from cosim.step.late import LateMessages, not_accepted
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
-from cosim.step.sense import Positioned
+from cosim.step.positioning import Positioned
 from trust.tables import EvaluationMessages
 
 
@@ -120,7 +120,8 @@ def _broadcast(
     if cloud_bytes is not None:
         names = _names(exchange)[exchange.senders.own]
         messages, is_cloud = messages.followed_by(Messages(exchange.vehicles.senses, cloud_bytes, name=names))
-    medium, found = parts.medium.broadcast(medium, kind, exchange.now.step, begin_s, exchange.stations, messages)
+    step, stations = exchange.now.step, exchange.stations
+    medium, found = parts.medium.broadcast(medium, kind, step, begin_s, stations, messages)
     if cloud_bytes is not None:
         found, clouds = found.only(~is_cloud), found.only(is_cloud)
     n_vehicles = len(exchange.vehicles)

@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.ragged import expand, ptr_of
+from cosim.base.rows import Rows
 from cosim.config.config import Config
 from cosim.messages.content import SENSED, velocities
 from cosim.step.comparing import Compared
-from cosim.step.evaluate import Claims
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
 from cosim.step.parts import Parts
@@ -30,6 +30,20 @@ _LEAST_VARIANCE = 0.01
 """Of a velocity that a vehicle knows of itself [m2/s2]."""
 _PLACED_M = 1.0
 """Largest standard deviation of where an object was, so that vehicles ask for it: half the width of a car [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claims(Rows):
+    """What vehicles find about C claims of the messages in their lists, sorted by list, member and number."""
+
+    list: Int[ndarray, "c"]
+    """Row of the vehicles that sense."""
+    member: Int[ndarray, "c"]
+    """Detection that makes the claim, a row of `Known`; the self report claims that the message withholds nothing."""
+    number: Int[ndarray, "c"]
+    """As `trust.claims.claim_number` gives it."""
+    support: Float[ndarray, "c"]
+    """Expected evaluation, in [-1, 1]."""
 
 
 def claims_of(

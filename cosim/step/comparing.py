@@ -13,20 +13,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.ragged import offsets, ptr_of, ranges
 from cosim.base.rows import Rows
 from cosim.base.threads import in_parts, n_threads
 from cosim.messages.content import FABRICATED, velocities
 from cosim.step.accuracy import ALONG_BOTH, pose_variance
 from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
-from cosim.step.object_lists import questions_of, received_lists
 from cosim.step.parts import Parts
 from cosim.step.perception import BoxQuestions, Perceives
-from cosim.step.sense import Positioned
+from cosim.step.positioning import Positioned
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
 from sensors.box_fusion import StatedAccuracy
 from sensors.boxes import Boxes, overlapping_pairs, pairs_between
+from sensors.evidence import AreaParams
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence
 from trust.matching import Partners, match_partners
@@ -128,6 +129,42 @@ def compare_objects(
     return compared, groups
 
 
+def received_lists(
+    received: Uses,
+    ptr: Int[ndarray, "m+1"],
+    transmitted: Bool[ndarray, "d"],
+    own: Int[ndarray, "s"],
+) -> ObjectLists:
+    """The detections that each vehicle knows: its own ones, then the received ones, by (message, detection index).
+
+    Parameters
+    ----------
+    received
+        Detection messages that the vehicles use beside their own ones, in any order.
+    ptr
+        Row at which the detections of each message begin.
+    transmitted
+        Whether each detection is transmitted.
+    own
+        Each vehicle's message under its own identity.
+    """
+    of = np.concatenate([np.arange(len(own)), received.receiver])
+    message = np.concatenate([own, received.message])
+    is_own = np.arange(len(of)) < len(own)
+    number = np.where(is_own, 0, message + 1)
+    order = np.argsort(of * len(ptr) + number, kind="stable")
+    of, message, is_own = of[order], message[order], is_own[order]
+    # The detections of a message: all of them for its sender, those that are transmitted for others.
+    sent = np.flatnonzero(transmitted)
+    known = np.concatenate([sent, np.arange(len(transmitted))])
+    ptr_of_sent = np.searchsorted(sent, ptr)
+    ptr_of_all = len(sent) + ptr
+    start = np.where(is_own, ptr_of_all[message], ptr_of_sent[message])
+    stop = np.where(is_own, ptr_of_all[message + 1], ptr_of_sent[message + 1])
+    begins = offsets(stop - start)[ptr_of(of, len(own))]
+    return ObjectLists(begins, known[ranges(start, stop - start)], own)
+
+
 _PART = 16_384
 """Detections in the lists that are compared at once. Columns of so many stay in a core's cache."""
 _MOST_PARTS = 64
@@ -208,7 +245,7 @@ class Comparison:
             # centres.
             may_count = away_m < area.range_m + boxes.lwh_m[lists.member[seeds], 2]
             is_tested = _is_tested(groups, near_groups, inside, seeds[may_count])
-            questions, counted, tested = questions_of(
+            questions, counted, tested = _questions_of(
                 lists, inside, is_tested, detections, boxes, self.velocity_mps, area
             )
             n_points = np.zeros(len(lists.member), np.int32)
@@ -249,6 +286,54 @@ def _with_own_identities(received: Uses, senders: Senders) -> Uses:
         return received
     receiver = np.concatenate([senders.source[further], received.receiver])
     return Uses(receiver, np.concatenate([further, received.message]))
+
+
+def _questions_of(
+    lists: ObjectLists,
+    evaluated: Bool[ndarray, "m"],
+    foreign: Bool[ndarray, "m"],
+    detections: SentDetections,
+    boxes: Boxes,
+    velocity_mps: Float[ndarray, "d 2"],
+    area: AreaParams,
+) -> tuple[BoxQuestions, Int[ndarray, "p"], Int[ndarray, "t"]]:
+    """The questions of each vehicle to its own sweep about the boxes in its list.
+
+    A vehicle counts the returns in every box that it evaluates, and in every foreign box. For foreign boxes it also
+    tests whether free space contradicts them. A vehicle has no returns from itself.
+
+    Parameters
+    ----------
+    lists
+        What each vehicle knows.
+    evaluated
+        Members that the vehicle evaluates.
+    foreign
+        Members that the vehicle did not detect itself.
+    detections, boxes, velocity_mps
+        All detections in the step, their boxes and velocities.
+    area
+        Where vehicles evaluate.
+
+    Returns
+    -------
+    The questions, the members whose returns are counted, and the members that are tested.
+    """
+    b, o = lists.member, lists.of_member().astype(np.int32)
+    is_own = detections.message[b] == lists.owner[o]
+    is_self = detections.is_self[b] & is_own
+    is_counted = (evaluated | foreign) & ~is_self
+    counted, tested = np.flatnonzero(is_counted), np.flatnonzero(foreign)
+    asked = BoxQuestions(
+        boxes=boxes,
+        velocity_mps=velocity_mps,
+        area=area,
+        counting=o[counted],
+        counted=b[counted],
+        testing=o[tested],
+        tested=b[tested],
+    )
+    return asked, counted, tested
 
 
 def _is_tested(
@@ -332,7 +417,11 @@ class RelativeAccuracy(NamedTuple):
     vehicle_m2: Float[ndarray, "s"]
     """Variance of the vehicle's own position along each axis."""
 
-    def variance_m2(self, detection: Int[ndarray, "n"], vehicle: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
+    def variance_m2(
+        self,
+        detection: Int[ndarray, "n"],
+        vehicle: Int[ndarray, "n"],
+    ) -> Float[ndarray, "n 3"]:
         """Variances of these detections relative to these vehicles."""
         own = self.vehicle_m2.take(vehicle)[:, None] * ALONG_BOTH
         return self.detection_m2.take(detection, axis=0) + own
@@ -408,7 +497,10 @@ def _permitted_share(
 
 
 def distance_m(
-    a_m: Float[ndarray, "a 3"], i: Int[ndarray, "n"], b_m: Float[ndarray, "b 3"], j: Int[ndarray, "n"]
+    a_m: Float[ndarray, "a 3"],
+    i: Int[ndarray, "n"],
+    b_m: Float[ndarray, "b 3"],
+    j: Int[ndarray, "n"],
 ) -> Float[ndarray, "n"]:
     """Distance of each row i of `a_m` from the row j of `b_m`."""
     apart_m = a_m.take(i, axis=0) - b_m.take(j, axis=0)

@@ -7,15 +7,15 @@ detections before it, and `cosim.step.claims` finds what vehicles think of other
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import EvaluationRows
 from cosim.base.ragged import ptr_of
-from cosim.base.rows import Rows
 from cosim.config.config import Config
 from cosim.messages.content import Detections
+from cosim.step.claims import Claims
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange, lists_of_identities
 from cosim.step.ground_truth import lies_in_evaluations
@@ -23,20 +23,6 @@ from cosim.step.known import Known
 from trust.claims import DETECTION, answers, claim_number
 from trust.params import KINDS
 from trust.tables import EvaluationMessages, Evaluations, ObjectLists, as_messages
-
-
-@dataclass(frozen=True, slots=True)
-class Claims(Rows):
-    """What vehicles find about C claims of the messages in their lists, sorted by list, member and number."""
-
-    list: Int[ndarray, "c"]
-    """Row of the vehicles that sense."""
-    member: Int[ndarray, "c"]
-    """Detection that makes the claim, a row of `Known`; the self report claims that the message withholds nothing."""
-    number: Int[ndarray, "c"]
-    """As `trust.claims.claim_number` gives it."""
-    support: Float[ndarray, "c"]
-    """Expected evaluation, in [-1, 1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +141,7 @@ def _as_reported(
     lists: ObjectLists,
     listed: Detections,
     observers: ndarray,
-    number: Int[ndarray, "m"] | None = None,
+    number: Int[ndarray, "m"] | None,
 ) -> Evaluations:
     """Evaluations as they will be sent.
 
@@ -191,7 +177,7 @@ def _messages_of(
     lists: ObjectLists,
     evaluations: Evaluations,
     keep: Bool[ndarray, "k"],
-    number: Int[ndarray, "k"] | None = None,
+    number: Int[ndarray, "k"] | None,
 ) -> EvaluationMessages:
     """Evaluation messages, one per list.
 

@@ -24,7 +24,7 @@ from cosim.step.exchange import Exchange, Senders, Vehicles
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
 from cosim.step.known import for_trust
 from cosim.step.parts import Parts
-from cosim.step.sense import Positioned
+from cosim.step.positioning import Positioned
 from cosim.world import World
 from sensors.tracking import ObjectStates
 from trust import tables
@@ -111,17 +111,21 @@ def list_objects(
     withheld = (objects.origin == SENSED) & ~objects.transmitted
     lied = lies_in_detections(perceived, objects, attacks.malicious())
     message = senders.message_of(objects, sensing.row)
+    gaps_s = np.zeros(len(exchange.stations))
+    if parts.config.cpm.rules != "all":
+        gaps_s = gap_s(parts.medium, medium, exchange.stations)
     generators = Generators(
         sender=exchange.sender,
         actor=vehicles.actor[senders.vehicle],
         xy_m=positioned.world.boxes.xyz_m[vehicles.row[senders.vehicle], :2],
-        gap_s=_gaps_s(parts, medium, exchange)[senders.vehicle],
+        gap_s=gaps_s[senders.vehicle],
         interval_s=parts.schedule.longest_steps * parts.config.traffic.step_s,
     )
     track = np.full(len(objects), -1)
     if positioned.objects is not None:
         track[objects.origin == SENSED] = positioned.objects.object_id
-    cpm, content = generate(cpm, objects, message, generators, exchange.now.begin_s, parts.config.cpm, track)
+    begin_s, params = exchange.now.begin_s, parts.config.cpm
+    cpm, content = generate(cpm, objects, message, generators, begin_s, params, track)
     objects = replace(objects, transmitted=content.included)
     truth = ground_truth_of(
         objects,
@@ -153,10 +157,3 @@ def list_objects(
         content=replace(content, inclusion=content.inclusion[order]),
         tracks=tracks,
     )
-
-
-def _gaps_s(parts: Parts, medium: object, exchange: Exchange) -> Float[ndarray, "s"]:
-    """Least time between two messages of each station by congestion control; 0 where no rule asks for it."""
-    if parts.config.cpm.rules == "all":
-        return np.zeros(len(exchange.stations))
-    return gap_s(parts.medium, medium, exchange.stations)

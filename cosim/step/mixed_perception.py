@@ -188,7 +188,8 @@ def _below_the_beams(
     The free-space test takes a box without returns before it or in it for implausible. On a mast, the blind cone below
     the beams is many metres wide, and nothing in it is tested.
     """
-    x_m, y_m, z_m = (boxes.xyz_m[b] - images.poses.origin_m[o]).T
+    away_m = boxes.xyz_m[b] - images.poses.origin_m[o]
+    x_m, y_m, z_m = away_m.T
     return z_m < np.hypot(x_m, y_m) * images.beams.tan_el[0]
 
 

@@ -216,8 +216,8 @@ def check_choices(experiment: Config) -> None:
         _make(experiment, "attacks", number)
     _make_medium(experiment, None)
     c = experiment
-    hosts = TrustHosts.of(variants(c), c.server, c.seed, c.schedule.exchange_interval_s, c.traffic.step_s)
-    hosts.start()
+    interval_s = c.schedule.exchange_interval_s
+    TrustHosts.of(variants(c), c.server, c.seed, interval_s, c.traffic.step_s).start()
 
 
 def variants(experiment: Config) -> list[Variant]:

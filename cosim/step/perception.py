@@ -188,13 +188,18 @@ class Perception:
         bounds = np.linspace(0, len(observers), n_groups + 1).astype(int).tolist()
 
         def sense(first: int, last: int) -> tuple[Seen, Stopwatch]:
-            kept = self._groups.pop() if self._groups else NO_MEMORY
             own = watch.of_thread() if n > 1 else watch
-            part = near.part(first, last)
+            some, part = observers[first:last], near.part(first, last)
+            kept = self._groups.pop() if self._groups else NO_MEMORY
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
-            sweeps, here = self.sense(world, observers[first:last], own, memory)
+            with own("sweep"):
+                sweeps = swept(world, some, self.city, self.lidar, self.weather, self.seed, memory)
+            with own("detect"):
+                here = evidence.observability(sweeps, world.boxes, world.shape, part, bodies)
+                draws = detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[some])
+                reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
             self._groups.append(SweepMemory(None, sweeps.hit))
-            return here.behind(first), own
+            return Seen(here, reports).behind(first), own
 
         found = in_parts(sense, bounds, most)
         if n > 1:
@@ -202,22 +207,6 @@ class Perception:
                 watch.add(own, n)
         images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
         return images, [here for here, _ in found]
-
-    def sense(
-        self,
-        world: World,
-        observers: Int[ndarray, "e"],
-        watch: Stopwatch,
-        memory: SweepMemory = NO_MEMORY,
-    ) -> tuple[lidar.Sweeps, Seen]:
-        """The sweeps of the vehicles in these rows of the world, and what they see in them."""
-        with watch("sweep"):
-            sweeps = self.sweep(world, observers, memory)
-        with watch("detect"):
-            here = evidence.observability(sweeps, world.boxes, world.shape, memory.near, memory.bodies)
-            draws = self.draws(world, observers)
-            reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
-        return sweeps, Seen(here, reports)
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""
@@ -240,10 +229,6 @@ class Perception:
     ) -> Bool[ndarray, "n"]:
         """As in `Perceives`."""
         return evidence.in_evaluation_area(sweeps, o, boxes, area, b, label, own)
-
-    def sweep(self, world: World, observers: Int[ndarray, "e"], memory: SweepMemory = NO_MEMORY) -> lidar.Sweeps:
-        """Sweeps of the vehicles in these rows of the world, with what each ray hit, in new memory if none is given."""
-        return swept(world, observers, self.city, self.lidar, self.weather, self.seed, memory)
 
     def observed(
         self, world: World, observers: Int[ndarray, "e"], sweeps: Any, parts: Sequence[Seen], sort: bool = False
@@ -280,10 +265,6 @@ class Perception:
         listed = [self_reports(world, vehicles), sensed] if self.self_reports else [sensed]
         return Observed(sweeps, seen, Detections.by_key(listed), ~found.is_false_positive, found.actor)
 
-    def draws(self, world: World, observers: Int[ndarray, "e"]) -> DetectorDraws:
-        """Random keys of the detector for the vehicles in these rows of the world."""
-        return detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[observers])
-
 
 def detector_draws(
     seed: int, dt_s: float, step: int, names: UInt64[ndarray, "n"], own: UInt64[ndarray, "e"]
@@ -311,7 +292,8 @@ def swept(
     memory: SweepMemory = NO_MEMORY,
 ) -> lidar.Sweeps:
     """Sweeps of the vehicles in these rows of the world, in this weather."""
-    keys = sweep_keys(seed, world, observers)
+    of_step = rng.key(seed, rng.Stream.SWEEP, world.step)
+    keys = rng.keys(of_step, world.name_key[observers])
     if memory.bodies is None:
         memory = memory._replace(bodies=prisms(world.shape, world.boxes, world.speed_mps))
     sweeps = lidar.scan(world.boxes, world.shape, observers, city, params, keys, memory)
@@ -320,9 +302,3 @@ def swept(
         dirt = rng.key(seed, rng.Stream.DIRT)
         weaken(sweeps, weather, keys, world.name_key, reflectivity, dirt)
     return sweeps
-
-
-def sweep_keys(seed: int, world: World, observers: Int[ndarray, "e"]) -> UInt64[ndarray, "e"]:
-    """Random keys of the LiDARs of the vehicles in these rows of the world."""
-    of_step = rng.key(seed, rng.Stream.SWEEP, world.step)
-    return rng.keys(of_step, world.name_key[observers])

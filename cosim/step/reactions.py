@@ -90,5 +90,8 @@ class ReactionTruth:
         )
 
 
-def _key(pseudonym: Int[ndarray, "n"], index: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def _key(
+    pseudonym: Int[ndarray, "n"],
+    index: Int[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     return pseudonym.astype(np.int64) << 20 | index.astype(np.int64)

@@ -1,26 +1,24 @@
-"""Vehicles sense: their pseudonyms, what they perceive, where they believe to be, and their tracks.
+"""Vehicles sense: their pseudonyms, what they perceive, and their tracks.
 
 A stage that changes a part of the state takes it as an argument and returns its new value before the result.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.attacks.adversary import ActiveAttacks
-from cosim.config.config import Config
 from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
 from cosim.step.exchange import Times, Vehicles
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
-from cosim.step.positioning import as_believed, believed_world
+from cosim.step.positioning import Positioned
 from cosim.step.precomputed import Precomputed
-from cosim.traffic.position_errors import PositionErrors
 from cosim.world import World
-from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
+from sensors.tracking import Found, Observers, TrackMemory, track
 
 
 def identify(
@@ -95,33 +93,6 @@ def mislead(observed: Observed, attacks: ActiveAttacks) -> Observed:
         actor_row=actor_row,
         caused_by=np.where(added, seen.target[sensed], -1),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Positioned:
-    """What vehicles perceive, at their estimated positions."""
-
-    observed: Observed
-    world: World
-    """The world with every vehicle at its estimated pose; the true world without `[gnss]`."""
-    error: Float[ndarray, "e 3"] | None
-    """Errors of each vehicle, estimated minus true: east [m], north [m], heading [rad]; None without `[gnss]`."""
-    objects: ObjectStates | None = None
-    """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
-
-
-def position(
-    world: World, vehicles: Vehicles, observed: Observed, errors: PositionErrors, config: Config
-) -> tuple[PositionErrors, Positioned]:
-    """Apply position errors to what vehicles perceive; return the new state of the errors and the result."""
-    c = config
-    if c.gnss.is_exact:
-        return errors, Positioned(observed, world, None)
-    errors, error = errors.next(world.step, vehicles.actor, vehicles.name_key, c.gnss, c.traffic.step_s, c.seed)
-    if c.roadside:  # where a unit stands is known
-        error = np.where(world.is_roadside[vehicles.row, None], 0.0, error)
-    observed = as_believed(observed, world, vehicles.row[vehicles.senses], error[vehicles.senses])
-    return errors, Positioned(observed, believed_world(world, vehicles.row, error), error)
 
 
 def track_objects(

@@ -90,7 +90,8 @@ def publish(
 ) -> tuple[TrustState, PseudonymState, Published]:
     """Trust servers process arrived evaluations, compute and broadcast trust, and accuse and revoke vehicles."""
     c, hosts = parts.config, parts.trust
-    trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, vehicles.actor, vehicles.name_key)
+    actor, name_key = vehicles.actor, vehicles.name_key
+    trust, scores, informed = hosts.publish(trust, now.step, now.begin_s, actor, name_key)
     for h, of_host in enumerate(scores):
         if of_host is not None and hosts.models[h].guard is not None:
             owner, _ = parts.pseudonyms.owners(pseudonyms, of_host.subject)

@@ -27,7 +27,7 @@ import sensors
 from cosim.addons.perception import kitti_frames
 from cosim.addons.perception.kitti import LEVELS, LOOSE, STRICT, LabelledObjects, Precision, average_precision
 from cosim.runs import replay_lidar
-from cosim.step.parts import perception_of
+from cosim.step.perception import detector_draws
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import style
@@ -92,7 +92,7 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
     """Frames of a run, evenly spread over it; the false positives are those of the model."""
     params = DetectorParams(model=profile)
     config = replace(replay_lidar.config_of(run), detector=params)
-    perception = perception_of(config, replay_lidar.city_of(config))
+    city = replay_lidar.city_of(config)
     steps = kitti_frames.sampled_steps(run, max_frames)
     truth, poses = kitti_frames.actors_ahead(run, steps, RANGE_M)
     seen, boxes, label, origin_m, z, false = (list[Any]() for _ in range(6))
@@ -101,8 +101,10 @@ def sample(run: Run, profile: str, model: SimpleNamespace, max_frames: int) -> S
         observers = np.flatnonzero(world.equipped)
         if world.step not in steps or not len(observers):
             continue
-        sweeps = perception.sweep(world, observers)
-        here, draws = observability(sweeps, world.boxes, world.shape), perception.draws(world, observers)
+        sweeps = replay_lidar.sweep(config, city, world, observers)
+        here = observability(sweeps, world.boxes, world.shape)
+        names = world.name_key
+        draws = detector_draws(config.seed, config.traffic.step_s, world.step, names, names[observers])
         z.append(pair_normals(here, draws, model))
         spurious = false_positives(sweeps, here, draws, model)
         false.append((spurious.observer + n_frames, spurious.label, spurious.boxes, spurious.score))

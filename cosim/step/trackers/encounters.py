@@ -86,7 +86,8 @@ class PairSearch:
         )
         pair = np.sort((pairs[:, 0] << 32) | pairs[:, 1])
         a, b = rows[pair >> 32], rows[pair & 0xFFFFFFFF]
-        east_m, north_m, _ = (world.boxes.xyz_m[a] - world.boxes.xyz_m[b]).T
+        apart_m = world.boxes.xyz_m[a] - world.boxes.xyz_m[b]
+        east_m, north_m, _ = apart_m.T
         is_on_foot = world.shape == Shape.PEDESTRIAN
         return NearPairs(
             a=world.actor[a],

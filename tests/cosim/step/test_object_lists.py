@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.step.comparing import received_lists
 from cosim.step.known import Uses
-from cosim.step.object_lists import received_lists
 from trust.tables import ObjectLists
 
 
