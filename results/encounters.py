@@ -501,15 +501,23 @@ def by_variant(rows: Rows) -> tuple[Rows, Rows]:
     return rows | acting, others
 
 
-def _pair(a: Int[ndarray, "n"], b: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def _pair(
+    a: Int[ndarray, "n"],
+    b: Int[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     return (np.asarray(a, np.int64) << 32) | np.asarray(b, np.int64)
 
 
-def _actors(pair: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def _actors(
+    pair: Int[ndarray, "n"],
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     return pair >> 32, pair & 0xFFFFFFFF
 
 
-def _involve(pair: Int[ndarray, "n"], actors: Int[ndarray, "m"]) -> Bool[ndarray, "n"]:
+def _involve(
+    pair: Int[ndarray, "n"],
+    actors: Int[ndarray, "m"],
+) -> Bool[ndarray, "n"]:
     """Whether one of these actors is in each pair."""
     if not len(actors):
         return np.zeros(len(pair), bool)
@@ -523,7 +531,10 @@ def _without(actors: ndarray, pair: ndarray, end: ndarray) -> tuple[ndarray, nda
     return pair[stays], end[stays]
 
 
-def _find(held: Int[ndarray, "m"], wanted: Int[ndarray, "n"]) -> tuple[ndarray, ndarray]:
+def _find(
+    held: Int[ndarray, "m"],
+    wanted: Int[ndarray, "n"],
+) -> tuple[ndarray, ndarray]:
     """Positions of `wanted` in sorted `held`, and whether they are there."""
     at = np.searchsorted(held, wanted)
     if not len(held):

@@ -121,7 +121,10 @@ class StoredColumn:
         return codes
 
 
-def stored_columns(table: str, of_run: Mapping[str, tuple[str, ...]]) -> dict[str, StoredColumn]:
+def stored_columns(
+    table: str,
+    of_run: Mapping[str, tuple[str, ...]],
+) -> dict[str, StoredColumn]:
     """All columns of a table that are on disk, by name."""
     return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
 
@@ -180,7 +183,10 @@ def given_rows(
     return rows
 
 
-def stored_rows(rows: Mapping[str, ndarray], known: Mapping[str, StoredColumn]) -> dict[str, ndarray]:
+def stored_rows(
+    rows: Mapping[str, ndarray],
+    known: Mapping[str, StoredColumn],
+) -> dict[str, ndarray]:
     """Rows of `given_rows` in the types in which they are stored.
 
     Raises

@@ -247,7 +247,10 @@ def _n_squares(nx: int, ny: int) -> tuple[int, int]:
     return -(-nx // wide), -(-ny // wide)
 
 
-def _solid_cells(grid: Grid, walls: Walls) -> tuple[Int[ndarray, "s"], Int[ndarray, "s"]]:
+def _solid_cells(
+    grid: Grid,
+    walls: Walls,
+) -> tuple[Int[ndarray, "s"], Int[ndarray, "s"]]:
     """Numbers of the cells that no wall touches and whose centre is inside a building, and that building."""
     nx, ny = grid.step.shape
     wide = kernels.BUILDING_CELLS

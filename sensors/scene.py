@@ -320,7 +320,10 @@ class Scene:
         return replace(self, bodies_m={**self.bodies_m, int(shape): unit})
 
 
-def _closed(vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Float[ndarray, "t 3 3"]:
+def _closed(
+    vertices_m: Float[ndarray, "v 3"],
+    faces: Int[ndarray, "t 3"],
+) -> Float[ndarray, "t 3 3"]:
     """Triangles of a closed mesh; ValueError for any other."""
     vertices, faces = np.asarray(vertices_m, float), np.asarray(faces, int)
     names_vertices = len(faces) and faces.min() >= 0 and faces.max() < len(vertices)

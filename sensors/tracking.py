@@ -629,7 +629,11 @@ def _of_score(score: Float[ndarray, "n"], params: TrackingParams) -> Float[ndarr
     return params.existence_score * scipy.special.logit(np.clip(score, *params.existence_scores))
 
 
-def assigned(tracks: Tracks, found: Found, params: TrackingParams) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
+def assigned(
+    tracks: Tracks,
+    found: Found,
+    params: TrackingParams,
+) -> tuple[Int[ndarray, "m"], Int[ndarray, "m"]]:
     """The detections that continue tracks of the same observer: global nearest neighbour, all observers at once.
 
     Parameters
@@ -734,7 +738,11 @@ def _blocks(observer: Int[ndarray, "p"]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _largest_sum(t: Int[ndarray, "p"], d: Int[ndarray, "p"], gain: Float[ndarray, "p"]) -> Bool[ndarray, "p"]:
+def _largest_sum(
+    t: Int[ndarray, "p"],
+    d: Int[ndarray, "p"],
+    gain: Float[ndarray, "p"],
+) -> Bool[ndarray, "p"]:
     """Whether each pair is in the assignment with the largest sum of gains, which are positive. Pairs are sorted by t.
 
     Every row of the matrix also has a column of its own that means: no detection.
@@ -784,14 +792,20 @@ def _numbered(
     return known, n_objects, object_id
 
 
-def _along_and_across(vector: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+def _along_and_across(
+    vector: Float[ndarray, "n 2"],
+    axis: Float[ndarray, "n 2"],
+) -> Float[ndarray, "n 2"]:
     """Vectors of the plane, along and across a unit vector."""
     (x, y), (cos, sin) = vector.T, axis.T
     along = cos * x + sin * y
     return np.column_stack([along, cos * y - sin * x])
 
 
-def _east_and_north(along_across: Float[ndarray, "n 2"], axis: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+def _east_and_north(
+    along_across: Float[ndarray, "n 2"],
+    axis: Float[ndarray, "n 2"],
+) -> Float[ndarray, "n 2"]:
     """The inverse of `_along_and_across`."""
     (u, v), (cos, sin) = along_across.T, axis.T
     east = cos * u - sin * v

@@ -318,7 +318,10 @@ def _concatenated(parts: list[tuple[ObserverRows, DetectionRows]]) -> tuple[Obse
     )
 
 
-def _ranks(values: Int[ndarray, "k"], limit: int) -> tuple[Int[ndarray, "k"], int]:
+def _ranks(
+    values: Int[ndarray, "k"],
+    limit: int,
+) -> tuple[Int[ndarray, "k"], int]:
     """Rank of each value among the different values, and how many of these there are; values are below `limit`."""
     occurs = np.zeros(limit, np.int64)
     occurs[values] = 1

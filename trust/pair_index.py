@@ -62,7 +62,9 @@ class PairIndex:
         at, found = rows_of(pair_key(int64(holder), int64(subject)), self._keys)
         return self._rows[at] if self._rows.size else at, found
 
-    def sorted(self) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
+    def sorted(
+        self,
+    ) -> tuple[Int[ndarray, "p"], Int[ndarray, "p"], Int[ndarray, "p"]]:
         """All pairs that have a row.
 
         Returns
@@ -103,6 +105,9 @@ def with_rows(column: ndarray, n: int) -> ndarray:
     return np.concatenate([column, new])
 
 
-def merged(ascending: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> Int[ndarray, "m+n"]:
+def merged(
+    ascending: Int[ndarray, "m"],
+    new: Int[ndarray, "n"],
+) -> Int[ndarray, "m+n"]:
     """Two ascending arrays as one; a value of both occurs twice."""
     return np.insert(ascending, np.searchsorted(ascending, new), new)

@@ -480,7 +480,10 @@ class ReceivedEvaluations:
             float(self.eta),
         )
 
-    def _received_rows(self, message: Int[ndarray, "n"]) -> tuple[Int[ndarray, "k"], Int[ndarray, "m"]]:
+    def _received_rows(
+        self,
+        message: Int[ndarray, "n"],
+    ) -> tuple[Int[ndarray, "k"], Int[ndarray, "m"]]:
         """Rows of a table of messages' contents as holders received them, reception after reception.
 
         Parameters
@@ -617,7 +620,10 @@ class TrustScores(Rows):
         return out
 
 
-def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def pair_key(
+    holder: Int[ndarray, "n"],
+    subject: Int[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     """Each (holder, subject) as one integer.
 
     Parameters
@@ -632,6 +638,8 @@ def pair_key(holder: Int[ndarray, "n"], subject: Int[ndarray, "n"]) -> Int[ndarr
     return holder.astype(np.int64) << 31 | subject.astype(np.int64)
 
 
-def unpaired(keys: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def unpaired(
+    keys: Int[ndarray, "n"],
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Holder and subject of each `pair_key`."""
     return keys >> 31, keys & (1 << 31) - 1

@@ -338,7 +338,10 @@ def _key_of_observer(listed: Detections) -> Int[ndarray, "d"]:
     return listed.observer.astype(np.int64) << 32 | listed.detection_index
 
 
-def without_faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> tuple[Detections, Int[ndarray, "f"]]:
+def without_faults(
+    listed: Detections,
+    xyz_m: Float[ndarray, "w 3"],
+) -> tuple[Detections, Int[ndarray, "f"]]:
     """Drop the detections that cannot be sent.
 
     Parameters

@@ -33,7 +33,10 @@ class Commands(typer.Typer):
         return super().command(name, **{"cls": Command} | how)
 
 
-def in_groups(groups: Mapping[str, Sequence[str]], renamed: Mapping[str, str] = {}) -> type[TyperGroup]:
+def in_groups(
+    groups: Mapping[str, Sequence[str]],
+    renamed: Mapping[str, str] = {},
+) -> type[TyperGroup]:
     """A class of the program, whose help lists its commands in these groups, in this order.
 
     The order in which commands are registered has no effect. A name without a command is skipped, and commands that no

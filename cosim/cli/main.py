@@ -337,7 +337,10 @@ def measure(
     chosen = _chosen(runs, variant)
     topics = [re.split("[:.]", name)[0] for name in shipped]
     given = {"threshold": threshold, "fresh_s": fresh_s, "false_positives": false_positives}
-    options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    options: dict[str, Any] = {}
+    for name, value in given.items():
+        if value is not None:
+            options[name] = value
     if shipped:
         options["topics"] = tuple(dict.fromkeys(topics))
     tables, every = [], []
@@ -410,7 +413,8 @@ def plot(
         studies.refuse_options_of_runs(runs[0], vehicle=vehicles, step=step, variant=variant)
         held = ", or write --where radius_m=RADIUS, --where pairs=PAIRS or, of durations, --where group=GROUP"
         studies.refuse_options_of_runs(runs[0], held, radius_m=radius_m, pairs=pairs)
-        studies.plot(what, runs[0], out, over, by, metrics or [], where or [])
+        wanted = metrics or []
+        studies.plot(what, runs[0], out, over, by, wanted, where or [])
         return
     if over or by or metrics or where:
         raise ValueError("--over, --by, --metric and --where go with a study, and this is a run. Leave them out.")

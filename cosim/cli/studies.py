@@ -125,7 +125,8 @@ def _print_progress(folder: Path, as_json: bool) -> None:
     of = "" if found["steps_asked"] is None else f" of {found['steps_asked']:,}"
     why = f" ({found['error']})" if found["error"] else ""
     done = f"{found['steps']:,}{of} steps in {found['blocks']:,} blocks"
-    said = f"{folder}: {found['status']}{why}; {done}, {found['bytes'] / 1e6:,.1f} MB."
+    size_mb = found["bytes"] / 1e6
+    said = f"{folder}: {found['status']}{why}; {done}, {size_mb:,.1f} MB."
     print_done(found, f"{said} Next: {found['next']}", as_json)
 
 

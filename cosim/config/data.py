@@ -36,7 +36,10 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise ValueError(f"{path}: nested too deeply.") from None
 
 
-def leaves(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(
+    section: Mapping[str, Any],
+    prefix: str = "",
+) -> Iterator[tuple[str, Any]]:
     """Dotted keys of a section and of those in it, whether they are quoted or not, and their values."""
     for name, value in section.items():
         if isinstance(value, Mapping):

@@ -216,7 +216,8 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
         number = np.asarray(listed.detection_index)
         box = np.column_stack([boxes.xyz_m, boxes.lwh_m, boxes.yaw_rad, listed.score])
         motion = np.abs(np.column_stack([listed.speed_mps, listed.acceleration_mps2, listed.velocity_mps]))
-        is_finite = np.isfinite(box).all(axis=1) & ~np.isinf(motion).any(axis=1)
+        is_finite = np.isfinite(box).all(axis=1)
+        is_finite &= ~np.isinf(motion).any(axis=1)
         is_turned = np.abs(boxes.yaw_rad) <= 2 * np.pi
         is_size = (boxes.lwh_m > 0) & (boxes.lwh_m <= LARGEST_M)
         is_number = (number >= 0) & (number <= LARGEST_NUMBER)

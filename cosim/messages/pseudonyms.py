@@ -534,12 +534,17 @@ class Pseudonyms:
         )
 
 
-def _identity_key(vehicle: Int[ndarray, "n"], identity: Int[ndarray, "n"]) -> Int[ndarray, "n"]:
+def _identity_key(
+    vehicle: Int[ndarray, "n"],
+    identity: Int[ndarray, "n"],
+) -> Int[ndarray, "n"]:
     """Vehicle and identity as one integer, in the order of both. Identities have 16 bits."""
     return vehicle.astype(np.int64) << 16 | identity
 
 
-def _of_identity_key(key: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def _of_identity_key(
+    key: Int[ndarray, "n"],
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Vehicle and identity of each `_identity_key`."""
     return key >> 16, key & (1 << 16) - 1
 

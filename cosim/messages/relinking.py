@@ -134,8 +134,8 @@ def update_senders(
     mutual[np.unique(b, return_index=True)[1]] = True
     a, b = a[best & mutual], b[best & mutual]
     now.gap_s[a] = before.gap_s[b]
-    rated = before.rated[b]
-    now.linked[a] = np.where(rated, before.pseudonym[b], before.linked[b])
+    known, linked = before.pseudonym[b], before.linked[b]
+    now.linked[a] = np.where(before.rated[b], known, linked)
     n_right = int((owner[a] == owner_before[b]).sum())
     now = replace(
         now,

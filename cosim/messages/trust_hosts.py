@@ -503,7 +503,8 @@ class TrustHosts:
         counts = getattr(state.hosts[self.host_of[0]].model, "rejected", None)
         if not isinstance(counts, ndarray):
             return {}
-        return {cause.name.lower(): int(n) for cause, n in zip(RejectReason, counts, strict=False) if n}
+        n_of = dict(zip(RejectReason, counts.tolist(), strict=False))
+        return {cause.name.lower(): n for cause, n in n_of.items() if n}
 
     def scorers(self, state: TrustState) -> list[ObjectScorer | None]:
         """For each variant, the method of its model that scores objects, or None if it has none."""

@@ -139,7 +139,8 @@ class Uplink:
         keys, sent, place = rng.keys(key, name_key), length, xy_m
         if n_copies is not None and n_copies.any():
             of = owner_of_rows(np.where(length > 0, n_copies, 0))
-            keys = np.concatenate([keys, rng.keys(key, name_key[of], 1 + place_in_group(of))])
+            of_copies = rng.keys(key, name_key[of], 1 + place_in_group(of))
+            keys = np.concatenate([keys, of_copies])
             sent = np.concatenate([length, length[of]])
             place = np.concatenate([xy_m, xy_m[of]])
         budget_bytes = p.cell_up_bytes_per_s * self.interval_s

@@ -257,8 +257,8 @@ def least(of: Type) -> Any:
         case Enumerated():
             return of.values[0]
         case Record():
-            needed = {m.name: m.of for m in of.members if m.of is not None and not m.is_optional}
-            return {name: least(kind) for name, kind in needed.items()}
+            needed = (m for m in of.members if not m.is_optional)
+            return {m.name: least(m.of) for m in needed if m.of is not None}
         case ListOf():
             return [least(of.element)] * max(1, of.low)
         case UperChoice():

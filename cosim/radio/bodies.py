@@ -81,7 +81,8 @@ def tallest_blocker_m(
     radius_m = (np.hypot(length_m, width_m) / 2)[:, None]
     first = ((centre_m - low - radius_m) / side_m).astype(np.int64)
     last = ((centre_m - low + radius_m) / side_m).astype(np.int64)
-    first, last = first.clip(0, shape - 1), last.clip(0, shape - 1)
+    first = first.clip(0, shape - 1)
+    last = last.clip(0, shape - 1)
     count = last - first + 1
     n_cells = count.prod(axis=1)
     k, body = expand(np.zeros_like(n_cells), n_cells)

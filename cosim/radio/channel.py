@@ -79,7 +79,8 @@ class AccessParams:
     def __post_init__(self) -> None:
         for name, least in (("aifsn", 2), ("cw", 0)):
             value = getattr(self, name)
-            if len(value) != dtypes.N_ACCESS or min(value) < least or max(value) > 65_535:
+            is_within = min(value, default=-1) >= least and max(value) <= 65_535
+            if len(value) != dtypes.N_ACCESS or not is_within:
                 raise ValueError(
                     f"radio.access.{name} = {value} needs four whole numbers (VO, VI, BE, BK) of at least {least}."
                 )
@@ -124,7 +125,8 @@ class Links:
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)
-        is_whole = len(self.ptr) == n + 1 and self.ptr[0] == 0 and self.ptr[-1] == m
+        is_whole = len(self.ptr) == n + 1
+        is_whole = is_whole and self.ptr[0] == 0 and self.ptr[-1] == m
         if not is_whole or np.any(np.diff(self.ptr) < 0):
             raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
         if len(self.power_mw) != m or len(self.fading) != m:
@@ -386,8 +388,8 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
         if at[SLOTS] + max_degree > len(log.receiver):
             more = max(len(log.receiver), 64 * max_degree)
             log = log._replace(outcome=grown(log.outcome, more), receiver=grown(log.receiver, more))
-    n_packets, n_slots = at[PACKETS], at[SLOTS]
-    return Log(log.packets[:n_packets], log.outcome[:n_slots], log.receiver[:n_slots])
+    packets, used = log.packets[: at[PACKETS]], slice(at[SLOTS])
+    return Log(packets, log.outcome[used], log.receiver[used])
 
 
 def _noise_of(jamming: JammedStations | None, n: int) -> tuple[ndarray, ndarray, ndarray]:

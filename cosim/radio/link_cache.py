@@ -95,7 +95,8 @@ def _joined(
 ) -> tuple[Int[ndarray, "n+1"], Int[ndarray, "k"]]:
     """Compressed rows of which some are those of another list: where they begin, and places in both lists together."""
     size = np.where(of_other, np.diff(other), np.diff(ptr))
-    begin = np.where(of_other, ptr[-1] + other[:-1], ptr[:-1])
+    begin_of_other = ptr[-1] + other[:-1]
+    begin = np.where(of_other, begin_of_other, ptr[:-1])
     return offsets(size), ranges(begin, size)
 
 
@@ -113,7 +114,7 @@ def jammed(links: Links, stations: Stations, params: RadioParams) -> Links:
     abuse = stations.abuse
     if abuse is None:
         return links
-    if not np.isfinite(abuse.jam_dbm).any() and not np.isfinite(abuse.react_dbm).any():
+    if not np.isfinite([abuse.jam_dbm, abuse.react_dbm]).any():
         return links
     sender = owner_of_rows(np.diff(links.ptr))
     noise = []

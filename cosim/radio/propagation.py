@@ -122,7 +122,8 @@ def free_space_db(d: Float[ndarray, "m"], f: float = 5.9) -> Float[ndarray, "m"]
     f
         Carrier [GHz].
     """
-    return 20 * np.log10(4 * np.pi * d * f * 1e9 / LIGHT_MPS)
+    hz = f * 1e9
+    return 20 * np.log10(4 * np.pi * d * hz / LIGHT_MPS)
 
 
 def two_ray_ground_db(

@@ -125,7 +125,10 @@ class Underway:
         return chosen, frame
 
 
-def rows_of_keys(key: UInt64[ndarray, "n"], wanted: UInt64[ndarray, "k"]) -> Int[ndarray, "k"]:
+def rows_of_keys(
+    key: UInt64[ndarray, "n"],
+    wanted: UInt64[ndarray, "k"],
+) -> Int[ndarray, "k"]:
     """Row of each wanted station; NONE where it is not among these."""
     order = np.argsort(key)
     row, is_there = rows_of(wanted, key[order])

@@ -146,7 +146,8 @@ def _without(left_out: Bool[ndarray, "n"], rows: Columns) -> Columns:
     """The rows that are not left out. Most tables are about vehicles and leave out roadside units."""
     if not left_out.any():
         return rows
-    return {name: None if column is None else column[~left_out] for name, column in rows.items()}
+    kept = ~left_out
+    return {name: None if column is None else column[kept] for name, column in rows.items()}
 
 
 def _reaction_rows(found: Reactions) -> Columns:

@@ -319,9 +319,9 @@ class _Columns:
     tables = tuple(TABLES)
 
     def __init__(self) -> None:
-        self.of_table: dict[str, list[Mapping[str, ndarray | None]]] = {}
+        self.of_table: dict[str, list[recording.Columns]] = {}
 
-    def append(self, table: str, step: int, columns: Mapping[str, ndarray | None]) -> None:
+    def append(self, table: str, step: int, columns: recording.Columns) -> None:
         """As `Recorder`."""
         if any(values is not None and len(values) for values in columns.values()):
             self.of_table.setdefault(table, []).append(columns)
@@ -331,7 +331,9 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
     """The config, with these classes instead of those that it names."""
     named = {section: _name_of(section, part) for section, part in parts.items()}
     if config is None or isinstance(config, str | Path):
-        changes = [f"{section}.{SECTIONS[section].key}={name}" for section, name in named.items()]
+        changes = []
+        for section, name in named.items():
+            changes.append(f"{section}.{SECTIONS[section].key}={name}")
         return load(None if config is None else Path(config), changes)
     if isinstance(config, Config) and not named:
         return config

@@ -42,7 +42,8 @@ def execute(client: Client, study: StudyFolder, work: Work, limits: Limits) -> I
         first[name] = client.submit(drive_traffic, *asked, key=f"traffic-{name}", pure=False)
     runs: dict[Future, str] = {}
     for id, traffic in work.runs.items():
-        asked = (str(study.path), id, limits.retries, limits.timeout_s, limits.memory_gb, first.get(traffic))
+        allowed = limits.retries, limits.timeout_s, limits.memory_gb
+        asked = (str(study.path), id, *allowed, first.get(traffic))
         key = f"run-{study.path.name}-{id}-{time.time_ns()}"
         runs[client.submit(make_run, *asked, key=key, pure=False)] = id
     runs |= {future: name for name, future in first.items()}

@@ -170,7 +170,8 @@ def _study(data: dict[str, Any], path: Path, trust_code: bool) -> Study:
     if not head.name.strip():
         raise ValueError(f"study.name in {where} is empty. Leave it out: the study then has the name of its file.")
     keep = _section(Keep, data.get("keep", {}), "keep", where)
-    for known, given, what in ((TOPICS, keep.topics, "topics"), (TABLES, keep.tables or (), "tables")):
+    wanted = {"topics": (TOPICS, keep.topics), "tables": (TABLES, keep.tables or ())}
+    for what, (known, given) in wanted.items():
         if unknown := [name for name in given if name not in known]:
             raise ValueError(f"keep.{what}: there is no {unknown[0]!r}. There are {', '.join(known)}. Change {where}.")
     measuring = _section(Measuring, data.get("measure", {}), "measure", where)
@@ -307,7 +308,10 @@ def _section(model: type, given: Any, name: str, where: str) -> Any:
     return config_data.validated(model, given, name, where)
 
 
-def _axes(data: Mapping[str, Any], where: str) -> tuple[tuple[Keys, ...], ...]:
+def _axes(
+    data: Mapping[str, Any],
+    where: str,
+) -> tuple[tuple[Keys, ...], ...]:
     """Axes of the grid and of the sections `[[zip]]`."""
     grid, zips = data.get("grid", {}), data.get("zip", [])
     if not isinstance(grid, dict):

@@ -104,4 +104,5 @@ def _calibrated_tag(tag: bytes) -> bytes:
 
 
 def _attributes(vclass: str) -> str:
-    return "".join(f' {key}="{value}"' for key, value in CALIBRATED[vclass].items())
+    given = CALIBRATED[vclass]
+    return "".join(f' {key}="{value}"' for key, value in given.items())

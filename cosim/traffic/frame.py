@@ -111,9 +111,9 @@ class Frame:
         where = "the first actors" if self.bounds_m else "the origin"
         if margin_m == NETWORK_MARGIN_M:
             where = "the network"
-        name = names[int(number[row])]
+        name, what = names[int(number[row])], ", ".join(bad)
         raise TrafficError(
-            f"{self.source}: step {step}: {name!r} has {', '.join(bad)}. "
+            f"{self.source}: step {step}: {name!r} has {what}. "
             f"Actors should be within {margin_m / 1000:g} km of {where}, "
             f"{LARGEST_Z_M / 1000:g} km of height zero, and slower than {LARGEST_SPEED_MPS:g} m/s."
         )

@@ -89,7 +89,8 @@ def conversion(
         return _moved(own, net.projection), "longitudes and latitudes, placed by the projection of the network"
     to_net = net.projection
     x, y = xy.T
-    if to_net is not None and _in_degrees(xy) and net.holds(to_net.to_world(y, x)) > _MOST_P:
+    is_degrees = _in_degrees(xy)
+    if to_net is not None and is_degrees and net.holds(to_net.to_world(y, x)) > _MOST_P:
 
         def placed(timestep: Timestep) -> Timestep:
             if not _in_degrees(timestep.front_m[:, :2]):

@@ -227,7 +227,10 @@ def _keys(timestep: Timestep) -> list[tuple[str, bool]]:
     return list(zip(timestep.names, timestep.is_person.tolist(), strict=True))
 
 
-def rows_in_both(first: Sequence[object], second: Sequence[object]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def rows_in_both(
+    first: Sequence[object],
+    second: Sequence[object],
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Rows of the keys that both have, in the order of the first. Of equal keys in the second, the last one counts."""
     row_of = {key: row for row, key in enumerate(second)}
     after = np.array([row_of.get(key, -1) for key in first], np.int64)

@@ -76,7 +76,10 @@ def with_meshes(scene: Scene, meshes: Sequence[MeshParams], vehicle_meshes: Sequ
     return scene
 
 
-def read(key: str, path: Path) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3"]]:
+def read(
+    key: str,
+    path: Path,
+) -> tuple[Float[ndarray, "v 3"], Int[ndarray, "t 3"]]:
     """Read a mesh file.
 
     Parameters

@@ -33,7 +33,10 @@ _N_PROBED = 10
 """Timesteps from which the interval of a trace is measured."""
 
 
-def opened(path: Path, net: NetLocation | None) -> tuple[list[Timestep], Iterator[Timestep], Conversion | None, str]:
+def opened(
+    path: Path,
+    net: NetLocation | None,
+) -> tuple[list[Timestep], Iterator[Timestep], Conversion | None, str]:
     """The first timesteps of a trace, those behind them, and how its positions become those of the network, in words.
 
     A TrafficError is raised if nobody is ever on the road, or if the positions are known to be elsewhere.

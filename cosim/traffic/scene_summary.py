@@ -152,7 +152,7 @@ def _buildings(footprints: Sequence[Footprint]) -> str:
         "default": "by kind and size",
     }
     count = Counter(footprint.height_from for footprint in footprints)
-    heights = [f"{count[source]:,} {how}" for source, how in said.items() if count[source]]
+    heights = [f"{n:,} {how}" for source, how in said.items() if (n := count[source])]
     return f"{len(footprints):,}; heights: {', '.join(heights)}"
 
 
@@ -161,23 +161,24 @@ def _polygon_notes(files: dict[Path, dict[str, OtherPolygons]], n_buildings: int
     notes = []
     for path, others in files.items():
         odd = {kind: of for kind, of in others.items() if _first_word(kind) not in _NO_BUILDINGS}
-        high = {kind: OtherPolygons(of.n_high, of.n_high) for kind, of in odd.items() if of.n_high}
+        high = {kind: of.n_high for kind, of in odd.items() if of.n_high}
         if odd and not n_buildings:
             n = sum(of.n for of in others.values())
+            types = _types({kind: of.n for kind, of in odd.items()})
             notes.append(
-                f"none of the {n:,} polygons of {path} is a building ({_types(odd)}): everybody sees everybody. {_RULE}"
+                f"none of the {n:,} polygons of {path} is a building ({types}): everybody sees everybody. {_RULE}"
             )
         elif high:
-            n = sum(of.n for of in high.values())
+            n = sum(high.values())
             notes.append(f"{n:,} polygons of {path} have a height but are no buildings ({_types(high)}). {_RULE}")
     return notes
 
 
-def _types(others: dict[str, OtherPolygons]) -> str:
+def _types(n_of_kind: dict[str, int]) -> str:
     """The most frequent types of polygons, with numbers."""
-    by_name = sorted(others.items())
-    most = sorted(by_name, key=lambda item: item[1].n, reverse=True)
-    named = [f"{kind or 'without a type'} {of.n:,}" for kind, of in most[:4]]
+    by_name = sorted(n_of_kind.items())
+    most = sorted(by_name, key=lambda item: item[1], reverse=True)
+    named = [f"{kind or 'without a type'} {n:,}" for kind, n in most[:4]]
     if len(most) > 4:
         named.append("...")
     return f"types: {', '.join(named)}"

@@ -107,7 +107,10 @@ class Schedule:
         interval, phase = self.of_vehicles(name_key)
         return step % interval == phase
 
-    def of_vehicles(self, name_key: UInt64[ndarray, "n"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+    def of_vehicles(
+        self,
+        name_key: UInt64[ndarray, "n"],
+    ) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
         """Interval and phase of each vehicle.
 
         Parameters

@@ -230,7 +230,10 @@ def _first_of_overlapping(body: ndarray) -> Bool[ndarray, "n"]:
     return stays
 
 
-def _along(kerb: Kerb, place_m: float) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 5"]]:
+def _along(
+    kerb: Kerb,
+    place_m: float,
+) -> tuple[Int[ndarray, "p"], Float[ndarray, "p 5"]]:
     """Numbers of the places along a kerb, and of each x, y, z on the outer edge of the lane, heading and side."""
     step = np.diff(kerb.line_m[:, :2], axis=0)
     length = np.hypot(*step.T)

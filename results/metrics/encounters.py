@@ -96,7 +96,11 @@ def _is_definition(one: object) -> bool:
     return 0 < one["radius_m"] < _MOST and 0 <= one["hysteresis_s"] < _MOST
 
 
-def definition(run: Run, radius_m: float | None = None, pairs: str | None = None) -> dict[str, float | str]:
+def definition(
+    run: Run,
+    radius_m: float | None = None,
+    pairs: str | None = None,
+) -> dict[str, float | str]:
     """One definition of an encounter, by column of `DEFINITION`.
 
     What is not given is chosen: the smallest radius, the first kind of pairs, and the first value of each further

@@ -357,7 +357,11 @@ def variance(
     return n_units / (n_units - 1) * float((total**2).sum()) / float(n.sum()) ** 2
 
 
-def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndarray) -> Float[ndarray, "n"]:
+def _placement(
+    values: Float[ndarray, "n"],
+    others: Float[ndarray, "m"],
+    n: ndarray,
+) -> Float[ndarray, "n"]:
     """Share of the others, each of which occurs so often, that is below each value, ties counting half."""
     order = np.argsort(others)
     others = others[order]
@@ -367,7 +371,10 @@ def _placement(values: Float[ndarray, "n"], others: Float[ndarray, "m"], n: ndar
     return (below + at_most) / (2 * up_to[-1])
 
 
-def of_units(values: Float[ndarray, "n"] | Bool[ndarray, "n"], unit: Int[ndarray, "n"]) -> ClusteredEstimate:
+def of_units(
+    values: Float[ndarray, "n"] | Bool[ndarray, "n"],
+    unit: Int[ndarray, "n"],
+) -> ClusteredEstimate:
     """Mean of values that come from units, as `ratio`; if the values are true or false, as `share`.
 
     Parameters

@@ -191,7 +191,10 @@ WITH watched AS (
 """Lookups of subjects while they are watched (`trust.watched`) whose value rests on an evaluation."""
 
 
-def first_lows(run: Run, threshold: float) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def first_lows(
+    run: Run,
+    threshold: float,
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Step and subject of the first value by which each watched subject is suspected, of those that are looked up."""
     found = run.sql(
         f"""
@@ -246,7 +249,11 @@ def subjects(run: Run) -> tuple[Numbers, Numbers, Numbers]:
     return run.once_for_all("roles by pseudonym", lambda: _roles(run))
 
 
-def _places(known: Int[ndarray, "p"], pseudonym: Int[ndarray, "n"], path: Path) -> Int[ndarray, "n"]:
+def _places(
+    known: Int[ndarray, "p"],
+    pseudonym: Int[ndarray, "n"],
+    path: Path,
+) -> Int[ndarray, "n"]:
     """Place of each pseudonym among the known ones, which are ascending; Damaged if one is not among them."""
     place = np.searchsorted(known, pseudonym)
     there = np.append(known, -1)[place] == pseudonym

@@ -228,7 +228,11 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
     return who[["vehicle", "role"]].assign(delay_s=delay_s, found=found).reset_index()
 
 
-def _low_values(run: Run, threshold: float | None, at: trust.At) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+def _low_values(
+    run: Run,
+    threshold: float | None,
+    at: trust.At,
+) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
     """Step and subject of values below a threshold that rest on enough evaluations.
 
     Of the values that vehicles look up, only some are there, but always the first of each subject.

@@ -251,7 +251,10 @@ def _watched_of(run: Run) -> pd.DataFrame:
     return who
 
 
-def by_role(run: Run, role: Int[ndarray, "n"]) -> list[tuple[str, Bool[ndarray, "n"]]]:
+def by_role(
+    run: Run,
+    role: Int[ndarray, "n"],
+) -> list[tuple[str, Bool[ndarray, "n"]]]:
     """Split rows by role.
 
     Parameters

@@ -109,4 +109,5 @@ def _compile(path: Path, handle: int, digest: str) -> None:
 
 
 if __name__ == "__main__":
-    _compile(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    _, folder, number, parent = sys.argv
+    _compile(Path(folder), int(number), parent)
