@@ -9,7 +9,7 @@ from numpy import ndarray
 from cosim.base.codes import DetectionFault, ObjectClass, Origin
 from cosim.base.ragged import differs_from_last, place_in_group
 from cosim.base.rows import Rows
-from cosim.messages import etsi
+from cosim.messages import cpm
 from cosim.messages.cpm_params import MOST_OBJECTS
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.world import World
@@ -159,7 +159,7 @@ def encoded_cpm_bytes(
 
     Notes
     -----
-    The length is that of the encoded CPM (`cosim.messages.etsi.cpm_bytes`), with headers of the network and a
+    The length is that of the encoded CPM (`cosim.messages.cpm.cpm_bytes`), with headers of the network and a
     signature. The self report counts as an object, with a velocity where its speed is known. In a standardised system
     it would be a message of its own (CAM). Only the first segment describes the sensors.
     """
@@ -168,8 +168,8 @@ def encoded_cpm_bytes(
     of = (message * n_classes + objects.label) * 2 + moves
     count = np.bincount(of, minlength=2 * n * n_classes).reshape(n, n_classes, 2)
     outside = NETWORK_BYTES + SIGNATURE_BYTES
-    length = etsi.cpm_bytes(count[:, :, 0], n_moving=count[:, :, 1], has_sensors=has_sensors)
-    empty = etsi.cpm_bytes(np.zeros((1, n_classes), np.int64), is_segment=True, has_sensors=False)
+    length = cpm.cpm_bytes(count[:, :, 0], n_moving=count[:, :, 1], has_sensors=has_sensors)
+    empty = cpm.cpm_bytes(np.zeros((1, n_classes), np.int64), is_segment=True, has_sensors=False)
     return outside + length, np.repeat(outside + empty, n)
 
 

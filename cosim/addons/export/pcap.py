@@ -40,7 +40,8 @@ from cosim.base.codes import ObjectClass
 from cosim.base.earth import OnEarth, Projection
 from cosim.base.plane import ahead_of, turned_by
 from cosim.base.ragged import ptr_of
-from cosim.messages import etsi
+from cosim.messages import cam, cpm, etsi
+from cosim.messages.confidences import Confidences
 from results.moments import BOX, Clouds, File, Plan, Selection, Unit, at_steps
 
 START_S = 1_735_689_600
@@ -261,7 +262,7 @@ class PcapPackets:
             heading=etsi.heading(compass_deg(yaw) + np.degrees(place.turn_rad)),
             speed_mps=senders.speed_mps.to_numpy(float),
         )
-        cams = etsi.cams(vectors, senders.acceleration_mps2.to_numpy(float), size)
+        cams = cam.cams(vectors, senders.acceleration_mps2.to_numpy(float), size)
         objects = objects_of(perceived, front[sender], place, sender)
         bits = objects.is_used.sum(axis=1)
         range_m = float(self.selection.run.config["lidar"].get("max_range_m", 0.0))
@@ -280,8 +281,8 @@ class PcapPackets:
             for k, (first, last) in enumerate(pairwise(cuts)):
                 segment = (len(cuts) - 1, k + 1) if len(cuts) > 2 else None
                 describes = has_sensors and k == 0
-                head = etsi.CpmHead(number, time, latitude, longitude, angle, range_m, segment, describes)
-                message = etsi.cpm(head, end - begin, objects.between(first, last))
+                head = cpm.CpmHead(number, time, latitude, longitude, angle, range_m, segment, describes)
+                message = cpm.cpm(head, end - begin, objects.between(first, last))
                 frames.append(frame(heads[i], number, "cpm", message))
             found[step, number] = frames
         return found
@@ -296,7 +297,7 @@ def _capture(got: pd.DataFrame, frames: Frames) -> bytes:
     return b"".join(content)
 
 
-_HEAD_BYTES = int(etsi.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0])
+_HEAD_BYTES = int(cpm.cpm_bytes(np.zeros((1, 4), int), is_segment=True)[0])
 """Length of a segment without objects."""
 _ROOM_BITS = 8 * (LONGEST_BYTES - 4 - _HEAD_BYTES - 1)
 """Bits of objects that fit into one segment, whose length may then take a second byte."""
@@ -322,7 +323,7 @@ def _labels(classes: pd.Series) -> Int[ndarray, "n"]:
 
 def objects_of(
     perceived: pd.DataFrame, front_m: Float[ndarray, "d 3"], place: OnEarth, sender: Int[ndarray, "d"]
-) -> etsi.CpmObjects:
+) -> cpm.CpmObjects:
     """Objects seen from the front of their senders, turned to true north, with the velocities that are known.
 
     Parameters
@@ -354,15 +355,15 @@ def objects_of(
     score = perceived.score.to_numpy(float)
     size = box[:, 3:6]
     yaw = box[:, 6] - turn
-    return etsi.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
+    return cpm.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
 
 
-def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
+def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Confidences:
     """What the senders state of the accuracy of objects, with axes turned to true north."""
     position_m, velocity_mps = (_turned_std(perceived[columns], turn_rad) for columns in (POSITION, VELOCITY))
     yaw, size = perceived[["yaw_std_rad", "size_std"]].to_numpy(float).T
     lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
-    return etsi.Confidences.of(position_m, yaw, lwh_m * size[:, None], velocity_mps)
+    return Confidences.of(position_m, yaw, lwh_m * size[:, None], velocity_mps)
 
 
 def _turned_std(stated: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Float[ndarray, "d 2"]:

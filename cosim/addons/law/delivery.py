@@ -14,7 +14,7 @@ from cosim.base import rng
 from cosim.base.codes import ObjectClass
 from cosim.base.ragged import owner_of_rows, rows_of
 from cosim.config.config import Config
-from cosim.messages import etsi
+from cosim.messages import cpm
 from cosim.messages.cellular import CellularParams
 from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES, cpm_bytes
 from cosim.messages.cpm_params import CpmParams
@@ -255,7 +255,7 @@ def expected_cpm_bytes(params: CpmParams, n_objects: Float[ndarray, "m"]) -> Flo
         return cpm_bytes(n_objects)  # type: ignore[arg-type]  # expected numbers
     cars = np.zeros((2, len(ObjectClass)), np.int64)
     cars[1, ObjectClass.CAR] = 200
-    empty, full = etsi.cpm_bytes(np.zeros_like(cars), n_moving=cars)
+    empty, full = cpm.cpm_bytes(np.zeros_like(cars), n_moving=cars)
     return NETWORK_BYTES + SIGNATURE_BYTES + empty + n_objects * (full - empty) / 200
 
 

@@ -13,7 +13,7 @@ import pytest
 from cosim.addons.export import pcap, veremi_nextgen
 from cosim.base.codes import ObjectClass
 from cosim.base.earth import Projection
-from cosim.messages import etsi
+from cosim.messages import cpm
 from tests.addons.export import readers, truck
 from tests.results import tiny
 
@@ -175,7 +175,7 @@ def read_back(perceived):
     n = len(perceived)
     place = replace(NORTH.of_world(np.zeros((1, 2))), turn_rad=np.array([np.pi / 2]))
     objects = pcap.objects_of(perceived, np.zeros((n, 3)), place, np.zeros(n, int))
-    return readers.cpm(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0), n, objects.between(0, n)))["objects"]
+    return readers.cpm(cpm.cpm(cpm.CpmHead(1, 2, 3, 4, 5, 6.0), n, objects.between(0, n)))["objects"]
 
 
 def test_velocities_and_numbers_of_tracks():
@@ -221,12 +221,12 @@ def test_segments_hold_as_many_objects_as_fit(seed):
     label, moves = rng.integers(0, 4, n), rng.random(n) < rng.random()
     velocity = np.where(moves[:, None], rng.uniform(-30, 30, (n, 2)), np.nan)
     columns = np.arange(n), label, rng.uniform(-9, 9, (n, 3)), np.ones((n, 3)), rng.uniform(-3, 3, n), rng.random(n)
-    objects = etsi.CpmObjects.of(*columns, velocity)
+    objects = cpm.CpmObjects.of(*columns, velocity)
     cuts = [0, *pcap.cuts_of(objects.is_used.sum(axis=1)), n]
     assert len(cuts) - 1 <= 8
 
     def length(first, last):
-        return 4 + len(etsi.cpm(etsi.CpmHead(1, 2, 3, 4, 5, 6.0, (8, 1)), n, objects.between(first, last)))
+        return 4 + len(cpm.cpm(cpm.CpmHead(1, 2, 3, 4, 5, 6.0, (8, 1)), n, objects.between(first, last)))
 
     for first, last in pairwise(cuts):
         assert length(first, last) <= 1398

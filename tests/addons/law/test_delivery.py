@@ -7,8 +7,8 @@ from cosim.addons.law.delivery import LinkPairs, Load, arrival_p, expected_cpm_b
 from cosim.base import rng
 from cosim.messages.cellular import CellularParams, transfer_delay_s
 from cosim.messages.content import NETWORK_BYTES, SIGNATURE_BYTES
+from cosim.messages.cpm import cpm_bytes
 from cosim.messages.cpm_params import CpmParams
-from cosim.messages.etsi import cpm_bytes
 from cosim.radio.message_round import EarlierMessages, MessageRound, Messages, RoundKind, Stations
 from cosim.radio.phy import CURVES, ReceiverParams
 from cosim.radio.propagation import fading_quantiles

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.base.codes import ObjectClass
-from cosim.messages import etsi
+from cosim.messages import cpm
 from cosim.messages.content import SELF, SENSED, Detections, encoded_cpm_bytes
 from cosim.messages.cpm_generation import CpmState, Generators, Inclusion, beyond_limit, generate
 from cosim.messages.cpm_params import CpmParams
@@ -192,19 +192,19 @@ def test_lengths_are_those_of_the_encoder():
     has_sensors = g.random(n) < 0.5
     length, envelope = encoded_cpm_bytes(objects, message, has_sensors)
     xyz, lwh = g.uniform(-100, 100, (d, 3)), g.uniform(0.3, 12, (d, 3))
-    encoded = etsi.CpmObjects.of(np.arange(d) % 65536, label, xyz, lwh, g.uniform(-3, 3, d), g.random(d), velocity)
+    encoded = cpm.CpmObjects.of(np.arange(d) % 65536, label, xyz, lwh, g.uniform(-3, 3, d), g.random(d), velocity)
     begin = np.cumsum(count) - count
     for m in range(n):
         part = encoded.between(begin[m], begin[m] + count[m])
-        head = etsi.CpmHead(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
-        assert length[m] == 140 + len(etsi.cpm(head, int(count[m]), part))
+        head = cpm.CpmHead(m, m, m, m, 0, 60.0, None, bool(has_sensors[m]))
+        assert length[m] == 140 + len(cpm.cpm(head, int(count[m]), part))
         if count[m] == 0:
             segment = replace(head, segment=(2, 2), has_sensors=False)
-            assert envelope[m] == 140 + len(etsi.cpm(segment, 0, part))
+            assert envelope[m] == 140 + len(cpm.cpm(segment, 0, part))
     own = replace(objects.take(np.zeros(1, int)), speed_mps=np.array([3.0]), velocity_mps=np.full((1, 2), np.nan))
     assert (
         encoded_cpm_bytes(own, np.zeros(1, int), np.ones(1, bool))[0][0]
-        == 140 + etsi.cpm_bytes(np.zeros((1, 4), int), n_moving=np.eye(4, dtype=int)[[own.label[0]]])[0]
+        == 140 + cpm.cpm_bytes(np.zeros((1, 4), int), n_moving=np.eye(4, dtype=int)[[own.label[0]]])[0]
     )
     assert len(ObjectClass) == 4
 

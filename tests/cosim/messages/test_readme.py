@@ -8,7 +8,7 @@ import pytest
 
 import cosim.messages
 from cosim.base.codes import ObjectClass
-from cosim.messages import etsi, uper
+from cosim.messages import cam, cpm, uper
 from cosim.messages.content import cpm_bytes
 
 README = (Path(cosim.messages.__file__).parent / "README.md").read_text()
@@ -33,9 +33,9 @@ def test_every_width_is_that_of_the_schema():
         tuple(cell.strip(" `") for cell in line.split("|")[1:6])
         for line in README.split("## Packets", 1)[1].splitlines() if line.startswith("| `")
     }  # fmt: skip
-    known = rows_of(etsi.CPM) | rows_of(etsi.CAM)
+    known = rows_of(cpm.CPM) | rows_of(cam.CAM)
     assert stated <= known
-    numbers = {r.type for kind in (etsi.CPM, etsi.CAM) for r in uper.table(kind)}
+    numbers = {r.type for kind in (cpm.CPM, cam.CAM) for r in uper.table(kind)}
     assert not numbers - {row[1] for row in stated}, "a type without a row"
 
 
@@ -43,13 +43,13 @@ def test_every_width_is_that_of_the_schema():
     ("members", "published"), [(BASE, 23.6), (VELOCITY, 29.4), (SENSOR, 32.8), ((*SENSOR, "zCoordinate"), 36.5)]
 )
 def test_lengths_of_objects(members, published):
-    bits = etsi.object_bits(members)
+    bits = cpm.object_bits(members)
     assert f"| {published} | {bits[ObjectClass.CAR]} | {bits[ObjectClass.CAR] / 8:.2f} |" in README
 
 
 def test_lengths_beside_those_of_the_simulation():
     n = np.array([0, 1, 10, 40])
-    packet = 44 + etsi.cpm_bytes(np.outer(n, np.arange(4) == ObjectClass.CAR))
+    packet = 44 + cpm.cpm_bytes(np.outer(n, np.arange(4) == ObjectClass.CAR))
     for row in zip(n, cpm_bytes(n), packet + 96, strict=True):
         assert "| " + " | ".join(f"{x:,}" for x in row) + " |" in README
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from cosim.base.codes import ObjectClass
-from cosim.messages import etsi, uper
+from cosim.messages import cam, cpm, etsi, uper
 from tests.refusals import refused_in_one_line
 
 VECTORS = json.loads((Path(__file__).parent / "uper_vectors.json").read_text())
-TYPES = {"cpm": etsi.CPM, "cam": etsi.CAM}
+TYPES = {"cpm": cpm.CPM, "cam": cam.CAM}
 BASE = ("objectId", "angles", "objectDimensionZ", "objectDimensionY", "objectDimensionX", "objectPerceptionQuality",
         "classification")  # fmt: skip
 
@@ -32,7 +32,7 @@ def objects(rng, n):
 
 def head(**more):
     known = {"station": 7, "time_ms": 10**12, "latitude": 1, "longitude": -1, "heading": 9, "range_m": 80.0}
-    return etsi.CpmHead(**known | more)
+    return cpm.CpmHead(**known | more)
 
 
 @pytest.mark.parametrize("row", range(len(VECTORS)))
@@ -91,7 +91,7 @@ def test_open_types_have_their_length_in_one_or_two_bytes():
 )
 def test_what_does_not_fit_is_one_line(value, says):
     with refused_in_one_line(says):
-        uper.encode(etsi.OBJECT, uper.least(etsi.OBJECT) | value)
+        uper.encode(cpm.OBJECT, uper.least(cpm.OBJECT) | value)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -99,7 +99,7 @@ def test_objects_together_equal_objects_one_by_one(seed):
     """Rows of bits, as numbers read by hand from the columns, encode as single values do."""
     rng = np.random.default_rng(seed)
     number, label, xyz, lwh, angle, score = columns = objects(rng, 40)
-    many = etsi.CpmObjects.of(*columns)
+    many = cpm.CpmObjects.of(*columns)
 
     def tenths(value, unit):
         return int(np.ceil(value / unit - 1e-3))
@@ -116,9 +116,9 @@ def test_objects_together_equal_objects_one_by_one(seed):
             "objectDimensionY": {"value": size[1], "confidence": 32},
             "objectDimensionX": {"value": size[0], "confidence": 32},
             "sensorIdList": [1],
-            "classification": [{"objectClass": etsi.CLASSES[label[i]], "confidence": max(1, round(100 * score[i]))}],
+            "classification": [{"objectClass": cpm.CLASSES[label[i]], "confidence": max(1, round(100 * score[i]))}],
         })  # fmt: skip
-    of = uper.ListOf("PerceivedObjects", "M", etsi.OBJECT, 0, 255, True)
+    of = uper.ListOf("PerceivedObjects", "M", cpm.OBJECT, 0, 255, True)
     assert uper.encode(of, many.between(3, 30)) == uper.encode(of, values[3:30])
 
 
@@ -127,13 +127,13 @@ def test_length_is_that_of_the_bytes(segment):
     rng, lengths, counts = np.random.default_rng(5), [], []
     for n in (0, 1, 2, 3, 4, 17, 100, 255):
         columns = objects(rng, n)
-        lengths.append(len(etsi.cpm(head(segment=segment), n, etsi.CpmObjects.of(*columns).between(0, n))))
+        lengths.append(len(cpm.cpm(head(segment=segment), n, cpm.CpmObjects.of(*columns).between(0, n))))
         counts.append(np.bincount(columns[1], minlength=4))
-    assert etsi.cpm_bytes(np.array(counts), is_segment=segment is not None).tolist() == lengths
+    assert cpm.cpm_bytes(np.array(counts), is_segment=segment is not None).tolist() == lengths
     with pytest.raises(ValueError, match="0 to 255 objects"):
-        etsi.cpm_bytes(np.array([[200, 56, 0, 0]]))
+        cpm.cpm_bytes(np.array([[200, 56, 0, 0]]))
     with pytest.raises(ValueError, match="speed is no optional member"):
-        etsi.object_bits(["speed"])
+        cpm.object_bits(["speed"])
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_length_is_that_of_the_bytes(segment):
 )
 def test_published_lengths_of_an_object(members, published):
     """They count the class of a vehicle as 8 bits; `vehicleSubClass` is 0 to 14, which is 4 bits."""
-    bits = etsi.object_bits(members)
+    bits = cpm.object_bits(members)
     assert round((bits[ObjectClass.CAR] + 4) / 8 + 1e-9, 1) == published
     assert (bits - bits[ObjectClass.CAR]).tolist() == [0, 2, 3, 0]
 
@@ -164,8 +164,8 @@ def test_cams_are_forty_one_bytes():
         heading=rng.integers(0, 3600, n),
         speed_mps=speed,
     )
-    rows = etsi.cams(senders, rng.uniform(-30, 30, n), rng.uniform(0.1, 200, (n, 3)))
-    assert rows.shape == (n, 41) and uper.n_bits(etsi.CAM, uper.least(etsi.CAM)) == 322
+    rows = cam.cams(senders, rng.uniform(-30, 30, n), rng.uniform(0.1, 200, (n, 3)))
+    assert rows.shape == (n, 41) and uper.n_bits(cam.CAM, uper.least(cam.CAM)) == 322
     assert rows[0].tobytes()[:2] == bytes([2, 2])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import resolve_data
-from cosim.messages import etsi
+from cosim.messages import cpm
 from cosim.messages.content import FABRICATED, Detections
 from cosim.step.accuracy import DetectorAccuracy, Reporters, aged, pose_variance, stated
 from cosim.step.comparing import RelativeAccuracy, _permitted_share
@@ -87,7 +87,7 @@ def test_the_share_of_a_denial():
     np.testing.assert_allclose(moving[:, 2], moving[:, 0])
 
 
-CONFIDENCE = next(member.of for member in etsi._COORDINATE.members if member.name == "confidence")
+CONFIDENCE = next(member.of for member in cpm._COORDINATE.members if member.name == "confidence")
 
 
 def test_receivers_believe_what_the_standard_can_say():

@@ -8,7 +8,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.base.codes import OBJECT, PARKED
-from cosim.messages import etsi
+from cosim.messages.cpm import object_bits
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.channel import AccessParams, ChannelRules, ChannelState, Links, Packets, PhyOutcome, run_window
 from cosim.radio.phy import ReceiverParams, airtime_ns
@@ -179,7 +179,7 @@ def range_in_the_open(*, least: float, payload_bytes: int, rate_mbps: float) -> 
 
 def object_bytes(*, more: Sequence[Sequence[str]]) -> list[float]:
     """Length of one perceived car in a CPM of release 2 with these further members [B]."""
-    return [etsi.object_bits((*_OBJECT, *members))[0] / 8 for members in more]
+    return [object_bits((*_OBJECT, *members))[0] / 8 for members in more]
 
 
 def sight_past_buildings(run: Run, *, distance_m: Sequence[float]) -> Float[ndarray, "k"]:
