@@ -48,7 +48,8 @@ def check_definitions(definitions: Sequence[EncounterParams]) -> None:
     """ValueError where two definitions would have the same rows: tables keep radii and times as 32-bit numbers."""
     first_of: dict[tuple, int] = {}
     for number, of in enumerate(definitions):
-        key = (np.float32(of.radius_m), np.float32(of.hysteresis_s), of.pairs, of.los, of.pedestrians)
+        kept = np.array([of.radius_m, of.hysteresis_s], np.float32)
+        key = (*kept.tolist(), of.pairs, of.los, of.pedestrians)
         first = first_of.setdefault(key, number)
         if first < number:
             raise ValueError(

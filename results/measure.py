@@ -119,8 +119,8 @@ def measure(
         rows += _measured(run, topic, options)
     lines = []
     for row in rows:
-        metric = METRICS[row.name]
-        lines.append((*row[:-1], metric.unit, metric.label, _note(row)))
+        metric, values = METRICS[row.name], row[:-1]
+        lines.append((*values, metric.unit, metric.label, _note(row)))
     return pd.DataFrame(lines, columns=COLUMNS)
 
 
@@ -130,7 +130,8 @@ def _measured(run: Run, topic: str, options: Mapping[str, Any]) -> list[Measured
     What one function cannot answer says nothing about the next: nobody finds trust, so trust has no age, but the share
     of lookups that find some is 0.
     """
-    mine = [name for name, metric in METRICS.items() if metric.source and name.startswith(f"{topic}.")]
+    of_topic = [name for name in METRICS if name.startswith(f"{topic}.")]
+    mine = [name for name in of_topic if METRICS[name].source]
     rows: list[MeasuredRow] = []
     reasons: dict[str, None] = {}
     for _, same in groupby(mine, lambda name: (METRICS[name].source, METRICS[name].options)):
@@ -197,7 +198,8 @@ def _note(row: MeasuredRow) -> str:
     """The note on a value, with a warning if it rests on too few units."""
     few = ""
     if 0 < row.n_units < FEW:
-        few = f"too few: {row.n_units:.0f} of {FEW} {METRICS[row.name].unit_of_chance or 'units'}"
+        units = METRICS[row.name].unit_of_chance or "units"
+        few = f"too few: {row.n_units:.0f} of {FEW} {units}"
     return "; ".join(filter(None, (row.note, few)))
 
 

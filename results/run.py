@@ -264,9 +264,9 @@ class Run:
         wanted = list(encounters.columns if columns is None else columns)
         of_trust = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
         key = [c for c in of_trust if c in encounters.key]
-        others = key + [c for c in encounters.columns if c in wanted and c not in of_trust]
+        others = [c for c in wanted if c in encounters.columns and c not in of_trust]
         trust = self.table("encounter_trust", of_trust, self._of_variant("encounter_trust", None))
-        return self.table("encounters", others, where).merge(trust, on=key, how="left")[wanted]
+        return self.table("encounters", key + others, where).merge(trust, on=key, how="left")[wanted]
 
     def variant_parts(
         self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
@@ -477,7 +477,8 @@ class Run:
                 self._found_damaged(f"{table}/{path.name} has an infinite {name}", "Run again.")
             if column.type in WHOLE and (wrong := self._numbers_out_of_bounds(values, column.of)):
                 what = f"no number of the table {column.of}" if column.of in TABLES else "out of bounds"
-                self._found_damaged(f"{table}/{path.name} has {name} = {wrong[0]}, which is {what}", "Run again.")
+                said = f"{name} = {wrong[0]}, which is {what}"
+                self._found_damaged(f"{table}/{path.name} has {said}", "Run again.")
         return rows
 
     def _numbers_out_of_bounds(self, values: pa.ChunkedArray | pa.Array, of: Of) -> list[int]:
@@ -528,7 +529,8 @@ class Run:
         return self.once_for_all(name, lambda: self.table(name))
 
     def __repr__(self) -> str:
-        return f"Run({str(self.path)!r}: {self.manifest['steps']} steps, tables {', '.join(self.tables)})"
+        steps, tables = self.manifest["steps"], ", ".join(self.tables)
+        return f"Run({str(self.path)!r}: {steps} steps, tables {tables})"
 
     @property
     def roles(self) -> pd.Series:

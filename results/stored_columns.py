@@ -74,7 +74,8 @@ class StoredColumn:
             if (self.categories or values.dtype != self.dtype) and values.size:
                 low, high = int(values.min()), int(values.max())
                 if low < self.bottom or high > self.top:
-                    raise ValueError(f"{self.name} holds {low} to {high}, outside {self.bottom} to {self.top}.")
+                    permitted = f"{self.bottom} to {self.top}"
+                    raise ValueError(f"{self.name} holds {low} to {high}, outside {permitted}.")
         elif kind == "b":
             if given != "b":
                 raise ValueError(f"{self.name} has dtype {values.dtype}; true or false is wanted.")
@@ -117,7 +118,8 @@ class StoredColumn:
             codes[values == label] = code
         known = codes >= 0 if valid is None else (codes >= 0) | ~valid
         if not known.all():
-            raise ValueError(f"{self.name} = '{values[~known][0]}' is none of {', '.join(self.categories)}.")
+            strange, labels = values[~known][0], ", ".join(self.categories)
+            raise ValueError(f"{self.name} = '{strange}' is none of {labels}.")
         return codes
 
 
@@ -126,7 +128,8 @@ def stored_columns(
     of_run: Mapping[str, tuple[str, ...]],
 ) -> dict[str, StoredColumn]:
     """All columns of a table that are on disk, by name."""
-    return {name: StoredColumn.of(table, name, column, of_run) for name, column in TABLES[table].stored.items()}
+    stored = TABLES[table].stored
+    return {name: StoredColumn.of(table, name, stored[name], of_run) for name in stored}
 
 
 def given_rows(
@@ -156,8 +159,8 @@ def given_rows(
         For unknown or missing columns, other lengths, nulls where none may be, and labels that a column does not have.
     """
     unknown = [name for name in columns if name not in known and name.removesuffix(VALID) not in known]
-    wanted = [name for name, column in known.items() if name != "step" and not column.usual]
-    missing = [name for name in wanted if name not in columns]
+    wanted = [name for name, column in known.items() if not column.usual]
+    missing = [name for name in wanted if name != "step" and name not in columns]
     if unknown or missing:
         wrong = []
         if unknown:

@@ -93,8 +93,8 @@ def buildings_near(points_m: Float[ndarray, "m d"], scene: Scene, range_m: float
     -------
     Rows of the buildings, by point; in any order.
     """
-    x, y = points_m[:, 0], points_m[:, 1]
-    square = shapely.box(x - range_m, y - range_m, x + range_m, y + range_m)
+    low, high = points_m - range_m, points_m + range_m
+    square = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
     point, building = _tree(scene).query(square)
     return Neighbours(np.searchsorted(point, np.arange(len(points_m) + 1)), building)
 

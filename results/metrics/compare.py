@@ -15,9 +15,12 @@ _IDLE = ("record.", "compute.", "trust_variant.")
 def differing(runs: Sequence[Run]) -> dict[str, list[Any]]:
     """Keys of the configuration whose values differ, seeds left out, and their value in every run."""
     leaves = [dict(flat(run.config)) for run in runs]
-    keys = sorted({key for one in leaves for key in one if key not in DICE and not key.startswith(_IDLE)})
-    values = {key: [one.get(key) for one in leaves] for key in keys}
-    return {key: found for key, found in values.items() if any(v != found[0] for v in found)}
+    differing = {}
+    for key in sorted(set[str]().union(*leaves) - set(DICE)):
+        values = [one.get(key) for one in leaves]
+        if not key.startswith(_IDLE) and any(value != values[0] for value in values):
+            differing[key] = values
+    return differing
 
 
 def flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
@@ -28,7 +31,8 @@ def flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
         items = [(str(i), v) for i, v in enumerate(value)]
     else:
         return [(name, value)]
-    return [leaf for k, v in items for leaf in flat(v, f"{name}.{k}" if name else k)]
+    before = f"{name}." if name else ""
+    return [leaf for k, v in items for leaf in flat(v, before + k)]
 
 
 def sort_key(value: Any) -> tuple[bool, float, str]:

@@ -354,7 +354,8 @@ def variance(
     at, n_units = _codes(unit)
     n = np.ones(len(residual)) if n is None else n
     total = np.bincount(at, n * residual)
-    return n_units / (n_units - 1) * float((total**2).sum()) / float(n.sum()) ** 2
+    correction = n_units / (n_units - 1)
+    return correction * float((total**2).sum()) / float(n.sum()) ** 2
 
 
 def _placement(

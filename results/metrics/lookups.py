@@ -350,9 +350,10 @@ class _Adding:
             name: np.zeros((self.n_variants, len(self.known)), np.int64)
             for name in ("n_watched", "n_evaluated", "n_low", "pairs", "pairs_found")
         }
-        self.waited = np.zeros((self.n_variants, self.n_roles, 2, self.n_steps + 1), np.int64)
+        groups = self.n_variants, self.n_roles
+        self.waited = np.zeros((*groups, 2, self.n_steps + 1), np.int64)
         self.ages = _Numbers()
-        self.age_counts = np.zeros((self.n_variants, self.n_roles, len(AGES), 0), np.int64)
+        self.age_counts = np.zeros((*groups, len(AGES), 0), np.int64)
         self.pairs = _Numbers()
         self.of_pairs = self._no_pairs()
 
@@ -492,10 +493,12 @@ class _Adding:
         """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
         variant, pair = np.nonzero(over & (self.of_pairs["first_step"] >= 0))
         who = (self.pairs.keys & 0xFFFFFFFF)[pair]
-        first, low, seen = (self.of_pairs[name][variant, pair] for name in ("first_step", "low_step", "seen_step"))
+        names = ("first_step", "low_step", "seen_step")
+        first, low, seen = (self.of_pairs[name][variant, pair] for name in names)
         found = low >= 0
         waited = np.where(found, low, seen) - first
-        np.add.at(self.waited, (variant, self.role_of[who], found.astype(int), waited), 1)
+        role = self.role_of[who]
+        np.add.at(self.waited, (variant, role, found.astype(int), waited), 1)
         np.add.at(self.of_subjects["pairs"], (variant, who), 1)
         np.add.at(self.of_subjects["pairs_found"], (variant[found], who[found]), 1)
 

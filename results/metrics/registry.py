@@ -48,7 +48,8 @@ class Metric:
     @property
     def bounds(self) -> tuple[float, float]:
         """Smallest and largest possible value."""
-        low, high = self.range or {"1": (0.0, 1.0), "%": (0.0, 100.0)}.get(self.unit, (0.0, math.inf))
+        largest = {"1": 1.0, "%": 100.0}.get(self.unit, math.inf)
+        low, high = self.range or (0.0, largest)
         return low, high
 
 
