@@ -12,7 +12,7 @@ from cosim.cli.help import MORE
 
 if TYPE_CHECKING:
     from cosim.addons.traces.contacts import ContactParams
-    from cosim.addons.traces.positions import PositionColumns
+    from cosim.addons.traces.layouts import PositionColumns
     from results.archive import OpenRun
 
 Pairs = Literal["all", "equipped", "los", "all_los"]
@@ -192,7 +192,7 @@ def columns_of(
     frame_hz: float | None,
 ) -> "PositionColumns | None":
     """Columns named on the command line; None if none is named."""
-    from cosim.addons.traces.positions import PositionColumns
+    from cosim.addons.traces.layouts import PositionColumns
 
     if not any((actor, time, *metres, *degrees)):
         return None

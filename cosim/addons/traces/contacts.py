@@ -13,8 +13,9 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from cosim.addons.traces import positions, tracks
-from cosim.addons.traces.positions import Fixes, PositionColumns
+from cosim.addons.traces import layouts, positions, tracks
+from cosim.addons.traces.layouts import PositionColumns
+from cosim.addons.traces.positions import Fixes
 from cosim.addons.traces.tracks import TrackParams
 from cosim.base.durable import sha256
 from cosim.config.config import Config, of_run_without_code
@@ -139,7 +140,7 @@ def contacts(paths: Sequence[Path], params: ContactParams, out: Path | None, adv
     if paths[0].is_dir():
         _check_of_positions(params, f"{paths[0]} is a run")
         return _of_run(paths, params, out, advance)
-    if params.columns is None and positions.is_sumo(paths[0]):
+    if params.columns is None and layouts.is_sumo(paths[0]):
         _check_of_positions(params, f"{paths[0]} is a trace that SUMO wrote")
         return _of_sumo(paths, params, out, advance)
     return _of_positions(paths, params, out, advance)
@@ -359,7 +360,7 @@ def _of_positions(paths: Sequence[Path], params: ContactParams, out: Path | None
         counted.report |= {"actors": len(set(found.actor.tolist())), "tracks": len(found.names)}
         counted.report |= {"read_as": list(fixes.read_as), "classes": class_counts(rows["vehicle_class"])}
         counted.close(rows)
-        layout = "columns" if params.columns else positions.layout_of(paths[0])
+        layout = "columns" if params.columns else layouts.layout_of(paths[0])
         about = {"layout": layout, "appearance": appearance, "begin": fixes.begin}
         checked = {f"sha256 {path.name}": sha256(path) for path in paths}
         _finish(counted, name, paths, params, step_s, about, {"name": name} | checked)

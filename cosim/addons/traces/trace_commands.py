@@ -67,7 +67,7 @@ def trace(
     """
     from dataclasses import replace
 
-    from cosim.addons.traces import positions, tracks
+    from cosim.addons.traces import layouts, positions, tracks
     from cosim.addons.traces.from_positions import write_trace
     from cosim.addons.traces.units import LENGTH_M, TIME_S
 
@@ -82,7 +82,7 @@ def trace(
             raise ValueError(f"--class {kind} goes with --x and --y, or --lat and --lon. Name these columns, too.")
         columns = replace(columns, kind=kind)
     for path in files:
-        if positions.is_sumo(path):
+        if layouts.is_sumo(path):
             raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}.")
     fixes = positions.read(
         files,

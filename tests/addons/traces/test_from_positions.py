@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.addons.traces import positions
+from cosim.addons.traces import layouts, positions
 from cosim.addons.traces.from_positions import write_trace
 from cosim.addons.traces.tracks import TrackParams
 from cosim.traffic import fcd
@@ -20,7 +20,7 @@ STEP_S, LENGTH_M = 0.1, 5.0
 def written(tmp_path, rows, params=None):
     """The timesteps of the trace that is made of a table."""
     rows.to_csv(tmp_path / "positions.csv", index=False)
-    columns = positions.PositionColumns("id", "time", "x", "y", kind="class") if "class" in rows else None
+    columns = layouts.PositionColumns("id", "time", "x", "y", kind="class") if "class" in rows else None
     fixes = positions.read([tmp_path / "positions.csv"], columns)
     report = write_trace(fixes, params or TrackParams(STEP_S, 30.0), tmp_path / "out.parquet")
     return list(fcd.timesteps(tmp_path / "out.parquet")), report

@@ -9,7 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from cosim.addons.traces import units
-from cosim.addons.traces.positions import PositionColumns, layout_of, read
+from cosim.addons.traces.layouts import PositionColumns, layout_of
+from cosim.addons.traces.positions import read
 from cosim.traffic.source import TrafficError
 
 TAXIS = """\
