@@ -130,7 +130,7 @@ def problems(folder: Path, manifest: Mapping[str, Any], found: Inventory) -> Ite
             yield f"{MANIFEST}: {key} = {said}, but its config says {json.dumps(value)}"
 
 
-def config_problem(folder: Path, manifest: Mapping[str, Any], is_only_begun: bool = False) -> str:
+def config_problem(folder: Path, manifest: Mapping[str, Any], is_only_begun: bool) -> str:
     """Problem with the config file of a run folder; empty if there is none, or if the run never had a config file.
 
     A run that has only begun may have been killed before the file was written.

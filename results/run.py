@@ -560,7 +560,7 @@ class Run:
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
 
 
-def problems_of(folder: Path, table: str, found: Inventory, has_ended: bool, is_live: bool = False) -> Iterator[str]:
+def problems_of(folder: Path, table: str, found: Inventory, has_ended: bool, is_live: bool) -> Iterator[str]:
     """Parts of a table that are missing, of another size, or not in the inventory.
 
     Before the run has ended, there may be parts of the block that is being written; they are not read. While a process

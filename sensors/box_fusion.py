@@ -101,7 +101,7 @@ def fuse_boxes(
     lists: ViewLists,
     weights: Sequence[Float[ndarray, "h"]],
     wanted: Sequence[Bool[ndarray, "g"]],
-    align: bool = True,
+    align: bool,
 ) -> "list[FusedBoxes]":
     """Boxes of groups of detections of each receiver, once for each array of weights.
 

@@ -61,7 +61,7 @@ def read_footprints(path: Path | str, net_path: Path | None = None) -> list[Foot
 
 def read_polygons(
     path: Path | str,
-    net_path: Path | None = None,
+    net_path: Path | None,
 ) -> tuple[list[Footprint], dict[str, OtherPolygons]]:
     """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order, and the others by type.
 

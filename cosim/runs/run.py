@@ -210,7 +210,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
     return path
 
 
-def resumable(path: Path, trust_code: bool = False) -> Config:
+def resumable(path: Path, trust_code: bool) -> Config:
     """The config of a run that can be resumed.
 
     Raises

@@ -78,7 +78,7 @@ def prepare(file: Path, out: Path, merge: bool = True, trust_code: bool = False)
     return prepare_study(load(file, trust_code), file.name, out, merge)
 
 
-def prepare_study(study: Study, where: str, out: Path, merge: bool = True) -> Task:
+def prepare_study(study: Study, where: str, out: Path, merge: bool) -> Task:
     """Plan a sweep of a study that was read from the file `where`."""
     folder = StudyFolder(out)
     folder.check()

@@ -75,7 +75,7 @@ class FitDistance(NamedTuple):
     """Share of samples of the fitted distribution that are as far from their own fit; NaN if none were drawn."""
 
 
-def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int = 0) -> FitDistance:
+def kolmogorov_smirnov(sample: Durations, found: Fit, n_draws: int) -> FitDistance:
     """Largest distance between the Kaplan-Meier curve and the fitted survival function.
 
     Parameters

@@ -50,7 +50,7 @@ PARTS = {
 """Kinds of classes that are part of a step, by name."""
 
 
-def try_part(kind: str, name: str, own: Sequence[str] = ()) -> Report:
+def try_part(kind: str, name: str, own: Sequence[str]) -> Report:
     """Check a class that is part of a step.
 
     Parameters
