@@ -227,12 +227,6 @@ class Poses:
         return np.column_stack([turned_xy, xyz[:, 2]]) + self.origin_m[o]
 
 
-def n_rays(params: LidarParams) -> tuple[int, int]:
-    """Columns and rows of a sweep."""
-    grid = beams(params)
-    return len(grid.azimuth_rad), len(grid.elevation_rad)
-
-
 def step_of(params: LidarParams) -> float:
     """Step in which a LiDAR reports ranges [m]."""
     return step_m(params.max_range_m, params.range_sigma_m)
@@ -553,31 +547,6 @@ def height_of_road_m(boxes: Boxes, observers: Int[ndarray, "m"]) -> Float[ndarra
     World height for each of them [m].
     """
     return boxes.xyz_m[observers, 2] - 0.5 * boxes.lwh_m[observers, 2]
-
-
-def range_images(
-    boxes: Boxes, observers: Int[ndarray, "m"], params: LidarParams, range_steps: UInt16[ndarray, "m a e"]
-) -> RangeImages:
-    """Range images built from recorded ranges.
-
-    Parameters
-    ----------
-    boxes, observers
-        Boxes of all actors (world frame), and rows of the actors that carry a sensor.
-    params
-        The LiDAR that all observers carry.
-    range_steps
-        Ranges of an earlier sweep, in steps.
-    """
-    return RangeImages(
-        poses=mount(boxes, observers, params),
-        observers=observers,
-        ground_m=height_of_road_m(boxes, observers),
-        beams=beams(params),
-        max_range_m=params.max_range_m,
-        range_steps=range_steps,
-        step_m=step_of(params),
-    )
 
 
 def buffer(size: tuple[int, int, int], kind: type, old: ndarray | None) -> ndarray:

@@ -19,8 +19,18 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.codes import ObjectClass
-from cosim.messages.confidences import Confidences
-from cosim.messages.etsi import PROTOCOL, RELEASE_2, cdd, header, maybe, place, reference_position, up, with_confidence
+from cosim.messages.etsi import (
+    PROTOCOL,
+    RELEASE_2,
+    Confidences,
+    cdd,
+    header,
+    maybe,
+    place,
+    reference_position,
+    up,
+    with_confidence,
+)
 from cosim.messages.uper import (
     Encoded,
     Enumerated,

@@ -246,7 +246,7 @@ class TrustHosts:
         """
         published: list[TrustScores | None] = [None] * len(self.params)
         counts = [NOBODY] * len(self.params)
-        if not self._any("central"):
+        if not self._hosts("central"):
             return state, published, counts
         uplink, arrived = self.uplink.arrived(state.uplink, time_s)
         state = TrustState(list(state.hosts), uplink, arrived)
@@ -379,8 +379,8 @@ class TrustHosts:
         key: ndarray,
         xy_m: ndarray,
         time_s: float,
-        is_valid: Bool[ndarray, "m"] | None = None,
-        n_copies: Int[ndarray, "m"] | None = None,
+        is_valid: Bool[ndarray, "m"],
+        n_copies: Int[ndarray, "m"] | None,
     ) -> tuple[TrustState, LinkStats]:
         """Send reports to the server over the cellular network. All arrays are aligned with the reports.
 
@@ -391,11 +391,11 @@ class TrustHosts:
         xy_m
             Positions of the senders.
         is_valid
-            Whether the server accepts the report. All are accepted if it is not given.
+            Whether the server accepts the report.
         n_copies
-            Further copies, which use capacity and have no other effect. None if it is not given.
+            Further copies, which use capacity and have no other effect. None if there are none.
         """
-        if self.server.uplink != "cellular" or not self._any("central"):
+        if self.server.uplink != "cellular" or not self._hosts("central"):
             return state, LinkStats()
         uplink, stats = self.uplink.by_cellular(state.uplink, reports, key, xy_m, time_s, is_valid, n_copies)
         return TrustState(state.hosts, uplink), stats
@@ -404,7 +404,7 @@ class TrustHosts:
         self, state: TrustState, reports: SentReports, message: ndarray, received_s: ndarray
     ) -> tuple[TrustState, LinkStats]:
         """Forward the reports that roadside units received to the server; arguments as in `Uplink.by_rsu`."""
-        if self.server.uplink != "rsu" or not self._any("central"):
+        if self.server.uplink != "rsu" or not self._hosts("central"):
             return state, LinkStats()
         uplink, stats = self.uplink.by_rsu(state.uplink, reports, message, received_s)
         return TrustState(state.hosts, uplink), stats
@@ -529,9 +529,6 @@ class TrustHosts:
 
     def _hosts(self, host: str) -> list[int]:
         return [h for h, params in enumerate(self.params) if params.host == host]
-
-    def _any(self, host: str) -> bool:
-        return any(params.host == host for params in self.params)
 
 
 @cache

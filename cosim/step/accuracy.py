@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.config.config import Config
-from cosim.messages.confidences import Confidences
 from cosim.messages.content import SELF, SENSED, Detections, velocities
+from cosim.messages.etsi import Confidences
 from cosim.world import World
 from sensors.association import bounded
 from sensors.tracking import ObjectStates, TrackingParams, expected_speed

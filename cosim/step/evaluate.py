@@ -12,12 +12,12 @@ from numpy import ndarray
 
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.attack import EvaluationRows
-from cosim.base.ragged import ptr_of
+from cosim.base.ragged import expand, ptr_of
 from cosim.config.config import Config
 from cosim.messages.content import Detections
 from cosim.step.claims import Claims
 from cosim.step.comparing import Compared
-from cosim.step.exchange import Exchange, lists_of_identities
+from cosim.step.exchange import Exchange, Senders
 from cosim.step.ground_truth import lies_in_evaluations
 from cosim.step.known import Known
 from trust.claims import DETECTION, answers, claim_number
@@ -111,7 +111,7 @@ def evaluate_objects(
     step = exchange.now.step
     own_messages = _messages_of(step, messages, lists, own, is_sent, number)
     kept_messages = own_messages
-    lists, at = lists_of_identities(lists, exchange.senders)
+    lists, at = _lists_of_identities(lists, exchange.senders)
     if at is not None:  # rows of the lists of vehicles, once for each of their identities
         n_points, plausible, ego_detected = n_points[at], plausible[at], ego_detected[at]
         own, reported = own.take(at), reported.take(at)
@@ -169,6 +169,29 @@ def _as_reported(
     if evaluation is rows.evaluation and visibility is rows.visibility:
         return evaluated
     return Evaluations(evaluation, visibility)
+
+
+def _lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
+    """What is evaluated under every identity. All identities of a vehicle evaluate the same detections.
+
+    Parameters
+    ----------
+    lists
+        What each vehicle that senses evaluates.
+    senders
+        The messages.
+
+    Returns
+    -------
+    One list per message, and the positions of its members in `lists`, which are None if no vehicle has a second
+    identity.
+    """
+    if len(senders) == len(senders.own):
+        return lists, None
+    list_ = senders.source
+    at, of = expand(lists.ptr[list_], lists.ptr[list_ + 1])
+    ptr = np.searchsorted(of, np.arange(len(senders) + 1))
+    return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at
 
 
 def _messages_of(

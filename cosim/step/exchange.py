@@ -25,7 +25,6 @@ from cosim.radio.message_round import (
 from cosim.radio.rsu import RsuAntennas
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.world import World
-from trust.tables import ObjectLists
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,26 +294,3 @@ class OnAir:
         found = found.take(np.lexsort((found.received_s, found.message, found.receiver)))
         pair = found.receiver.astype(np.int64) << 32 | found.message
         return found.take(differs_from_last(pair))
-
-
-def lists_of_identities(lists: ObjectLists, senders: Senders) -> tuple[ObjectLists, Int[ndarray, "m"] | None]:
-    """What is evaluated under every identity. All identities of a vehicle evaluate the same detections.
-
-    Parameters
-    ----------
-    lists
-        What each vehicle that senses evaluates.
-    senders
-        The messages.
-
-    Returns
-    -------
-    One list per message, and the positions of its members in `lists`, which are None if no vehicle has a second
-    identity.
-    """
-    if len(senders) == len(senders.own):
-        return lists, None
-    list_ = senders.source
-    at, of = expand(lists.ptr[list_], lists.ptr[list_ + 1])
-    ptr = np.searchsorted(of, np.arange(len(senders) + 1))
-    return ObjectLists(ptr, lists.member[at], np.arange(len(senders))), at

@@ -175,12 +175,13 @@ class Perception:
         self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch
     ) -> tuple[lidar.RangeImages, list[Seen]]:
         """Range images of the vehicles in these rows of the world, and what groups of them saw."""
-        shape = (len(observers), *lidar.n_rays(self.lidar))
-        range_steps = lidar.buffer(shape, np.uint16, self._range_steps)
+        beams = lidar.beams(self.lidar)
+        size = (len(observers), len(beams.azimuth_rad), len(beams.elevation_rad))
+        range_steps = lidar.buffer(size, np.uint16, self._range_steps)
         self._range_steps = range_steps
         with watch("sweep"):
-            origin_m = lidar.mount(world.boxes, observers, self.lidar).origin_m
-            near = neighbours(origin_m, world.boxes, self.lidar.max_range_m)
+            poses = lidar.mount(world.boxes, observers, self.lidar)
+            near = neighbours(poses.origin_m, world.boxes, self.lidar.max_range_m)
             bodies = prisms(world.shape, world.boxes, world.speed_mps)
         most = len(observers) // FEW + 1
         n = min(n_threads(), most)
@@ -205,7 +206,15 @@ class Perception:
         if n > 1:
             for _, own in found:
                 watch.add(own, n)
-        images = lidar.range_images(world.boxes, observers, self.lidar, range_steps)
+        images = lidar.RangeImages(
+            poses=poses,
+            observers=observers,
+            ground_m=lidar.height_of_road_m(world.boxes, observers),
+            beams=beams,
+            max_range_m=self.lidar.max_range_m,
+            range_steps=range_steps,
+            step_m=lidar.step_of(self.lidar),
+        )
         return images, [here for here, _ in found]
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:

@@ -41,7 +41,6 @@ from cosim.base.earth import OnEarth, Projection
 from cosim.base.plane import ahead_of, turned_by
 from cosim.base.ragged import ptr_of
 from cosim.messages import cam, cpm, etsi
-from cosim.messages.confidences import Confidences
 from results.moments import BOX, Clouds, File, Plan, Selection, Unit, at_steps
 
 START_S = 1_735_689_600
@@ -358,12 +357,12 @@ def objects_of(
     return cpm.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
 
 
-def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Confidences:
+def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:
     """What the senders state of the accuracy of objects, with axes turned to true north."""
     position_m, velocity_mps = (_turned_std(perceived[columns], turn_rad) for columns in (POSITION, VELOCITY))
     yaw, size = perceived[["yaw_std_rad", "size_std"]].to_numpy(float).T
     lwh_m = perceived[BOX].to_numpy(float)[:, 3:6]
-    return Confidences.of(position_m, yaw, lwh_m * size[:, None], velocity_mps)
+    return etsi.Confidences.of(position_m, yaw, lwh_m * size[:, None], velocity_mps)
 
 
 def _turned_std(stated: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> Float[ndarray, "d 2"]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cosim.config.config import resolve_data
-from cosim.messages.confidences import Confidences
 from cosim.messages.content import SELF, SENSED, Detections
+from cosim.messages.etsi import Confidences
 from cosim.step.accuracy import DetectorAccuracy, Reporters, as_encoded, pose_variance, stated
 from tests.sensors.town import boxes_at
 
