@@ -315,8 +315,8 @@ def with_perceived(listed: Detections, perceived: Detections) -> Detections:
     What an attack made impossible to send, or gave another number, its vehicle has still perceived: it is in the list
     and not transmitted. A detection under a number that the vehicle has not perceived is fabricated.
     """
-    key = _key_of_observer(listed)
-    perceived_key = _key_of_observer(perceived)
+    key = listed.numbers()
+    perceived_key = perceived.numbers()
     is_real = listed.origin != FABRICATED
     has_all = np.array_equal(key[is_real], perceived_key)
     if has_all and np.array_equal(listed.origin[is_real], perceived.origin):
@@ -331,11 +331,6 @@ def with_perceived(listed: Detections, perceived: Detections) -> Detections:
     left_out = perceived.take(np.flatnonzero(is_left_out))
     left_out = replace(left_out, transmitted=np.zeros(len(left_out), bool))
     return Detections.by_key([replace(listed, origin=origin), left_out])
-
-
-def _key_of_observer(listed: Detections) -> Int[ndarray, "d"]:
-    """Observer and number of each detection as one integer, in the order of both."""
-    return listed.observer.astype(np.int64) << 32 | listed.detection_index
 
 
 def without_faults(

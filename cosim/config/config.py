@@ -338,13 +338,8 @@ def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> An
         return validated(choice.params, data, prefix, where)
     file = choice.source.file
     line = definition_line(choice.params, "", file)
-    with at_load(file, _title(choice), "Params cannot be read", line, passes=ValueError):
+    with at_load(file, choice.title, "Params cannot be read", line, passes=ValueError):
         return validated(choice.params, data, prefix, where)
-
-
-def _title(choice: Choice) -> str:
-    """Kind and name of a chosen class, for error messages."""
-    return f"{choice.kind.title} {choice.of.__name__}"
 
 
 def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
@@ -585,7 +580,7 @@ def _check_plain(own: dict[str, Any], choice: Choice) -> None:
             file = choice.source.file
             line = definition_line(choice.params, "", file)
             raise ValueError(
-                f"{file}:{line}: {_title(choice)}: Params.{key} is a {type(value).__name__}, which a "
+                f"{file}:{line}: {choice.title}: Params.{key} is a {type(value).__name__}, which a "
                 "config file cannot contain. Use text, a number, true or false, or a list of these."
             )
 

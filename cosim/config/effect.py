@@ -16,8 +16,8 @@ from cosim.door.load import is_own
 from cosim.traffic.roadside import RoadsideParams
 from sensors.weather import extinction_per_m
 
-_FILE = Path(__file__).with_name("needs.toml")
-_NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(_FILE.read_text("utf-8"))
+_TEXT = Path(__file__).with_name("needs.toml").read_text("utf-8")
+_NEEDS: dict[str, list[dict[str, Any]]] = tomllib.loads(_TEXT)
 """What keys of the config and of sections of lists need, as the file explains."""
 
 

@@ -41,7 +41,7 @@ def construct(choice: Choice, *arguments: Any) -> Any:
     if not choice.is_own:
         return choice.of(*arguments)
     file = choice.source.file
-    place = _class_of(choice)
+    place = choice.title
     with blame.at_load(file, place, "cannot be made", blame.definition_line(choice.of, "__init__", file)):
         return choice.of(*arguments[: shape.n_arguments(choice.of, arguments)])
 
@@ -78,7 +78,7 @@ class Guarded:
     def _call(self, name: str, method: Any, *given: Any) -> Any:
         """Call a method and check its result."""
         choice, file = self._choice, self._choice.source.file
-        what = f"{_class_of(choice)}: {name}()"
+        what = f"{choice.title}: {name}()"
         defined = blame.definition_line(choice.of, name, file)
         place = f"{file}:{defined}: {what}"
         hook = choice.kind.hooks[name]
@@ -120,12 +120,7 @@ def refuse(own: Any, name: str, what: str) -> None:
     choice = own._choice
     file = choice.source.file
     line = blame.definition_line(choice.of, name, file)
-    raise blame.ExtensionError(f"{file}:{line}: {_class_of(choice)}: {name}() {what}.")
-
-
-def _class_of(choice: Choice) -> str:
-    """The kind and the name of a class, as messages say them."""
-    return f"{choice.kind.title} {choice.of.__name__}"
+    raise blame.ExtensionError(f"{file}:{line}: {choice.title}: {name}() {what}.")
 
 
 def _shown(name: str, value: Any) -> Any:

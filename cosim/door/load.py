@@ -46,6 +46,11 @@ class Choice:
         """Whether the class is a user's own."""
         return is_own(self.source.name)
 
+    @property
+    def title(self) -> str:
+        """The kind and the name of the class, as messages say them."""
+        return f"{self.kind.title} {self.of.__name__}"
+
 
 def is_own(name: str) -> bool:
     """Whether a name refers to a user's own class."""

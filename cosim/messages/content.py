@@ -114,6 +114,10 @@ class Detections(Rows):
         joined = Detections.concat(parts)
         return joined.take(np.lexsort((joined.detection_index, joined.identity, joined.observer)))
 
+    def numbers(self) -> Int[ndarray, "d"]:
+        """Observer and index of each detection in one number, in the order of both."""
+        return self.observer.astype(np.int64) << 32 | self.detection_index
+
 
 def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
     """Velocity east and north that each detection claims; NaN where it claims none.

@@ -169,8 +169,9 @@ class Confidences(NamedTuple):
     @staticmethod
     def unavailable(n: int) -> "Confidences":
         """Those of objects whose accuracy is not known."""
-        one, two, three = (np.full((n, columns), np.nan) for columns in (1, 2, 3))
-        return Confidences.of(two, one.ravel(), three, two)
+        three = np.full((n, 3), np.nan)
+        one, two = three[:, 0], three[:, :2]
+        return Confidences.of(two, one, three, two)
 
 
 class StatedDeviations(NamedTuple):

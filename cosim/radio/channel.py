@@ -388,7 +388,8 @@ def _run_events(air: Air, log: Log, n_old: int, until_ns: int, forwarding: Forwa
         if at[SLOTS] + max_degree > len(log.receiver):
             more = max(len(log.receiver), 64 * max_degree)
             log = log._replace(outcome=grown(log.outcome, more), receiver=grown(log.receiver, more))
-    packets, used = log.packets[: at[PACKETS]], slice(at[SLOTS])
+    packets = log.packets[: at[PACKETS]]
+    used = slice(at[SLOTS])
     return Log(packets, log.outcome[used], log.receiver[used])
 
 

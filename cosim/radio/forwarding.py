@@ -288,6 +288,6 @@ def enqueue_forward(p, row, packet, key, ptr, slot, t):
 
 
 _NEVER = ForwardingRules(1, False, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0, np.uint64(0))
-_NOTHING = np.zeros(0, UNIT), np.zeros(0, np.uint64), np.zeros((0, 2))
-NO_FORWARDING = Forwarding.of(_NEVER, *_NOTHING).state
+_NO_UNITS = np.zeros(0, UNIT)
+NO_FORWARDING = Forwarding.of(_NEVER, _NO_UNITS, np.zeros(0, np.uint64), np.zeros((0, 2))).state
 """A round in which nothing is forwarded."""

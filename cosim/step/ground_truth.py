@@ -10,9 +10,9 @@ from cosim.base.plane import wrapped
 from cosim.base.ragged import rows_of
 from cosim.base.rows import Rows
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
+from cosim.step.perception import Observed
 from cosim.world import World
 from sensors.boxes import iou_3d
-from sensors.evidence import Observability
 from trust.tables import Evaluations
 
 
@@ -38,11 +38,8 @@ class GroundTruth(Rows):
 def ground_truth_of(
     said: Detections,
     world: World,
-    sights: Observability,
+    observed: Observed,
     observers: Int[ndarray, "e"],
-    sensed_is_real: Bool[ndarray, "s"],
-    sensed_actor_row: Int[ndarray, "s"],
-    sensed_caused_by: Int[ndarray, "s"] | None,
     lied: Bool[ndarray, "d"],
 ) -> GroundTruth:
     """Ground truth of each detection.
@@ -53,21 +50,17 @@ def ground_truth_of(
         Detections as vehicles list them.
     world
         All actors.
-    sights
-        How well each observer could see each actor.
+    observed
+        What vehicles perceive, and its ground truth.
     observers
-        Rows of the world of the equipped vehicles.
-    sensed_is_real, sensed_actor_row
-        For each sensed detection, in the order of its key, whether the actor exists, and its row of the world.
-    sensed_caused_by
-        As `Observed.caused_by`.
+        Rows of the world of the vehicles that sense.
     lied
         Whether each detection is a lie, as `lies_in_detections` finds it.
     """
     sensed = said.origin == SENSED
     is_real = said.origin == SELF
     actor_row = np.where(is_real, said.observer, 0)
-    is_real[sensed], actor_row[sensed] = sensed_is_real, sensed_actor_row
+    is_real[sensed], actor_row[sensed] = observed.is_real, observed.actor_row
     assert not is_real[said.origin == FABRICATED].any()
     rows = np.flatnonzero(is_real)
     iou = np.zeros(len(said))
@@ -75,12 +68,13 @@ def ground_truth_of(
     iou[rows] = iou_3d(said.boxes.take(rows), true_boxes)
     occlusion = np.zeros(len(said))
     rows = np.flatnonzero(sensed & is_real)
+    sights = observed.observability
     pair_of_sight = observers[sights.observer] * len(world) + sights.actor
     pair = said.observer[rows] * len(world) + actor_row[rows]
     occlusion[rows] = sights.occlusion[np.searchsorted(pair_of_sight, pair)]
     is_phantom = np.zeros(len(said), bool)
-    if sensed_caused_by is not None:
-        is_phantom[sensed] = sensed_caused_by >= 0
+    if observed.caused_by is not None:
+        is_phantom[sensed] = observed.caused_by >= 0
     return GroundTruth(
         is_real=is_real,
         actor_row=actor_row,
@@ -119,7 +113,7 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     Aligned with `sent`.
     """
     lied = np.ones(len(sent), bool)
-    at, is_there = rows_of(_key(sent), _key(perceived))
+    at, is_there = rows_of(sent.numbers(), perceived.numbers())
     same = (sent.origin != FABRICATED) & (sent.identity == 0) & is_there
     rows = np.flatnonzero(same)
     now, perceived = sent.take(rows), perceived.take(at[rows])
@@ -141,11 +135,6 @@ def lies_in_detections(perceived: Detections, sent: Detections, on_purpose: Bool
     withheld = perceived.transmitted & ~now.transmitted & on_purpose[now.observer]
     lied[rows] = changed | withheld
     return lied
-
-
-def _key(detections: Detections) -> Int[ndarray, "d"]:
-    """Observer and index of each detection in one number."""
-    return detections.observer.astype(np.int64) << 32 | detections.detection_index
 
 
 def lies_in_evaluations(own: Evaluations, reported: Evaluations) -> Bool[ndarray, "m"]:

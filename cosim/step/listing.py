@@ -127,16 +127,7 @@ def list_objects(
     begin_s, params = exchange.now.begin_s, parts.config.cpm
     cpm, content = generate(cpm, objects, message, generators, begin_s, params, track)
     objects = replace(objects, transmitted=content.included)
-    truth = ground_truth_of(
-        objects,
-        world,
-        observed.observability,
-        sensing.row,
-        observed.is_real,
-        observed.actor_row,
-        observed.caused_by,
-        lied,
-    )
+    truth = ground_truth_of(objects, world, observed, sensing.row, lied)
     was_sensed = np.cumsum(objects.origin == SENSED) - 1
     objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
     tracks = positioned.objects

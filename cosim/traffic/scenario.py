@@ -168,9 +168,9 @@ class Scenario:
     def _named_inputs(self) -> dict[str, Path]:
         """The files that are read, by name. If two files have the same name, a number follows the second one's."""
         trace = self._recorded or self.trace
-        given = (self.sumocfg, self.net, *self.buildings, *self.types, *self.inputs, trace)
+        given = (self.sumocfg, self.net, *self.buildings, *self.types, *self.inputs)
         named: dict[str, Path] = {}
-        for path in dict.fromkeys(p.resolve() for p in given if p is not None):
+        for path in dict.fromkeys(p.resolve() for p in (*given, trace) if p is not None):
             n, name = 1, path.name
             while name in named:
                 n, name = n + 1, f"{path.name} ({n + 1})"

@@ -152,7 +152,10 @@ def _buildings(footprints: Sequence[Footprint]) -> str:
         "default": "by kind and size",
     }
     count = Counter(footprint.height_from for footprint in footprints)
-    heights = [f"{n:,} {how}" for source, how in said.items() if (n := count[source])]
+    heights = []
+    for source, how in said.items():
+        if n := count[source]:
+            heights.append(f"{n:,} {how}")
     return f"{len(footprints):,}; heights: {', '.join(heights)}"
 
 
