@@ -320,9 +320,9 @@ class EncounterTracker:
             Value, code of `TrustSource`, code of `LookupState`, and age, which is ignored for a default value. One
             column per trust variant; with one variant the arrays may be flat.
         """
-        trust, source, state, age_s = (
-            np.asarray(x).reshape(len(holder), self.n_variants) for x in (trust, source, state, age_s)
-        )
+        shape = len(holder), self.n_variants
+        given = trust, source, state, age_s
+        trust, source, state, age_s = (np.reshape(values, shape) for values in given)
         at = self._slots(holder, other)
         begins = at >= 0
         live = self._live

@@ -180,7 +180,8 @@ def _rows(name: str, metric: Metric, found: Iterable[Mapping[Any, Any]]) -> Iter
     for row in found:
         value = row.get(metric.column, np.nan)
         group = metric.named.format_map(row)
-        is_here = all(row[key] == wanted for key, wanted in metric.where.items())
+        where = {key: row[key] for key in metric.where}
+        is_here = where == dict(metric.where)
         if is_here and group not in groups and pd.notna(value):
             groups.add(group)
             own = f"{metric.column}_"

@@ -100,7 +100,7 @@ def page(run: Run) -> str:
         _folded(
             "Numbers",
             f"{len(numbers)} values of {len(TOPICS)} topics",
-            "".join(_topic(topic, _of_topic(numbers, topic)) for topic in TOPICS),
+            "".join(_topic(topic, numbers) for topic in TOPICS),
         ),
         _folded("Tables", f"{len(run.tables)} in this run", _dictionary(run)),
         _folded("Provenance", "versions, sources, the complete config", _provenance(run)),
@@ -197,11 +197,8 @@ def _n_points(artist: Any) -> int:
     return len(artist.get_path().vertices)
 
 
-def _of_topic(numbers: pd.DataFrame, topic: str) -> pd.DataFrame:
-    return numbers[numbers.metric.str.startswith(topic + ".")]
-
-
-def _topic(topic: str, frame: pd.DataFrame) -> str:
+def _topic(topic: str, numbers: pd.DataFrame) -> str:
+    frame = numbers[numbers.metric.str.startswith(topic + ".")]
     is_lost = frame.metric == f"{topic}.not_measured"
     head = f"<h3>{escape(topic)}</h3><p class='soft'>{_code(TOPICS[topic])}</p>"
     gap = "".join(f'<p class="missing">Not measured: {escape(reason)}</p>' for reason in frame.group[is_lost])

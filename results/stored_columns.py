@@ -174,7 +174,8 @@ def given_rows(
         given = columns[name] if name in columns else column.usual_values(n, step)
         values = np.zeros(n, column.dtype) if given is None else np.array(given)
         valid = np.zeros(n, bool) if given is None else columns.get(name + VALID)
-        if values.shape != (n,) or (valid is not None and np.shape(valid) != (n,)):
+        shape_of_valid = (n,) if valid is None else np.shape(valid)
+        if values.shape != (n,) or shape_of_valid != (n,):
             raise ValueError(f"{table}.{name} has shape {values.shape}, other columns have {n} rows.")
         if column.null:
             valid = np.ones(n, bool) if valid is None else np.array(valid, bool)

@@ -330,7 +330,7 @@ def _image(draw: Draw, where: Mapping[str, str], alt: str) -> str:
 def _pivot(study: StudyResults, frame: pd.DataFrame) -> str:
     """The core metrics by the first swept key that varies."""
     there = set(zip(frame.metric, frame.group, strict=True))
-    names = [name for name in core(study) if (*_split(name),) in there]
+    names = [name for name in core(study) if name.partition(":")[::2] in there]
     found = pivot(study, frame, names)
     over = (apart(frame, study.keys) or [study.keys[0]])[0]
     labels = {key: figure.label_of(key, study.keys) for key in study.keys}
@@ -342,11 +342,6 @@ def _pivot(study: StudyResults, frame: pd.DataFrame) -> str:
         f"<p class='soft'>Columns: {escape(labels[over])}. Mean and 95 % interval.</p>"
         f'<div class="wide"><table class="pivot"><tr>{head}</tr>{rows}</table></div>{few}'
     )
-
-
-def _split(name: str) -> tuple[str, str]:
-    metric, _, group = name.partition(":")
-    return metric, group
 
 
 def _table(study: StudyResults, frame: pd.DataFrame, name: str) -> str:

@@ -184,7 +184,8 @@ def points_in_boxes(range_steps, step_m, beams, pairs, run):
         flat.append((block.min(), block.max()))
     half_fov_rad = 0.5 * beams.fov_rad
     edge = math.cos(half_fov_rad), math.sin(half_fov_rad)
-    given = range_steps, step_m, beams, cos_el, sin_el, np.array(flat, np.float32), edge, pairs, run
+    bounds = np.array(flat, np.float32)
+    given = range_steps, step_m, beams, cos_el, sin_el, bounds, edge, pairs, run
     out = np.zeros(len(pairs.o), np.int32)
 
     def add(begin: int, end: int) -> None:

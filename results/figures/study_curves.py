@@ -9,7 +9,6 @@ import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from results.figures import style
@@ -129,17 +128,15 @@ def draw(
     if len(columns) > 1:
         figure.supylabel(y, fontsize=mpl.rcParams["axes.labelsize"])
     names = [f"{labels[colour]} = {said(hue)}" for hue in hues] if colour else []
-    entries: list[Artist] = list(map(_entry, range(len(names)), names))
+    entries: list[Artist] = []
+    for i, name in enumerate(names):
+        entries.append(style.entry(name, **style.look(i)))
     if held_at:
         entries.append(style.held_entry(held_at))
     if (n := frame.replicate.nunique()) > 1:
         entries.append(Patch(label=f"pooled; band: {n} single replicates", color=style.ink(0), alpha=0.18, linewidth=0))
     style.legend(figure, entries)
     return figure
-
-
-def _entry(i: int, name: str) -> Line2D:
-    return style.entry(name, **style.look(i))
 
 
 def _line(axes: Axes, curve: pd.DataFrame, i: int, level: float) -> float:

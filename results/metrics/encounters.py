@@ -279,7 +279,8 @@ def rates(run: Run) -> pd.DataFrame:
 def _mean(frame: pd.DataFrame, values: pd.Series, name: str) -> dict[str, float]:
     """Mean over encounters with its interval, which stays within what a share, or a duration, can be."""
     bounds = (0.0, 1.0) if values.dtype == bool else (0.0, math.inf)
-    found = intervals.mean_of_pairs(values.to_numpy(np.float64), frame.a.to_numpy(), frame.b.to_numpy(), bounds)
+    a, b = frame.a.to_numpy(), frame.b.to_numpy()
+    found = intervals.mean_of_pairs(values.to_numpy(np.float64), a, b, bounds)
     return intervals.columns(found, name)
 
 

@@ -221,7 +221,8 @@ def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
         raise run.lacks(*_NO_EVALUATION)
     age_s = lookups.ages_s(run)[there]
     share = np.cumsum(counts[there]) / counts.sum()
-    return pd.DataFrame({"age_s": np.r_[age_s[0], age_s], "share": np.r_[0, share]})
+    age_s = np.append(age_s[0], age_s)
+    return pd.DataFrame({"age_s": age_s, "share": np.append(0, share)})
 
 
 def over_time(run: Run, every_s: float = 10.0) -> pd.DataFrame:
@@ -282,7 +283,8 @@ def _not_over(n: int, n_without: int) -> str:
 def _of_equipped(run: Run) -> list[tuple[tuple, np.ndarray, np.ndarray]]:
     """By definition: rows of the encounters of equipped vehicles, and who would know, all `a` before all `b`."""
     frame = run.table("encounters", [*DEFINITION, "a", "b"])
-    frame = frame[frame.a.isin(run.roles.index) & frame.b.isin(run.roles.index)]
+    equipped = run.roles.index
+    frame = frame[frame.a.isin(equipped) & frame.b.isin(equipped)]
     groups = frame.groupby([*DEFINITION], observed=True)
     found = []
     for kind, one in groups:

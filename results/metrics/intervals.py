@@ -324,7 +324,8 @@ def auc(
     n_units = min(n_high_units, n_low_units)
     if not n_units:
         return UNKNOWN
-    n_high, n_low = times or (np.ones(len(high)), np.ones(len(low)))
+    once = np.ones(len(high)), np.ones(len(low))
+    n_high, n_low = times or once
     above = _placement(high, low, n_low)
     below = 1 - _placement(low, high, n_high)
     value = float(np.average(above, weights=n_high))

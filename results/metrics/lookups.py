@@ -285,7 +285,7 @@ def _added(run: Run, asked: _Asked) -> _All:
         known=known,
         role_of=role_of,
         since=_watched_since(run, known),
-        until=_used_until(run, known),
+        until=run.subjects.to_step.reindex(known).to_numpy(np.int64),  # last step in which each is in use
         left=left,
         n_variants=len(run.variants),
         n_roles=len(run.role_labels),
@@ -459,7 +459,8 @@ class _Adding:
 
         in_use = rows["step"] <= self.until[who]  # a message can still be used after its pseudonym has ended
         if not in_use.all():
-            rows = {name: _read_only(column[in_use], _DTYPES[name]) for name, column in rows.items()}
+            kept = {name: column[in_use] for name, column in rows.items()}
+            rows = {name: _read_only(column, _DTYPES[name]) for name, column in kept.items()}
             who, pair = who[in_use], pair[in_use]
         mine, pairs, asked = self.of_subjects, self.of_pairs, self.asked
         lookup_sums.add_watched(
@@ -487,7 +488,8 @@ class _Adding:
         kept = self.pairs.keys[~over].copy()
         self.pairs = _Numbers()
         self.pairs.of(kept)
-        self.of_pairs = {name: table[:, ~over] for name, table in self.of_pairs.items()}
+        for name, table in self.of_pairs.items():
+            self.of_pairs[name] = table[:, ~over]
 
     def _settle(self, over: ndarray) -> None:
         """Add the pairs that are over: by role, found or not, how many steps they waited; and pairs by subject."""
@@ -526,8 +528,3 @@ def _watched_since(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
         who = watched(run)
         since[np.searchsorted(known, who.index)] = who.since
     return since
-
-
-def _used_until(run: Run, known: Int[ndarray, "p"]) -> Int[ndarray, "p"]:
-    """Last step in which each pseudonym is in use."""
-    return run.subjects.to_step.reindex(known).to_numpy(np.int64)

@@ -220,7 +220,8 @@ def detection_delay(run: Run, threshold: float | None = None, at: trust.At = "se
     step, subject = _low_values(run, threshold, at)
     row = who.index.get_indexer(pd.Index(subject))
     since, until = who.since.to_numpy(), who.until.to_numpy()
-    there = (row >= 0) & (since[row] <= step) & (step <= until[row])
+    there = (row >= 0) & (since[row] <= step)
+    there &= step <= until[row]
     first = np.full(len(who), np.inf)
     np.minimum.at(first, row[there], step[there])
     found = np.isfinite(first)
@@ -345,7 +346,8 @@ def _auc_of_scores(
 
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
     """Half the share of pairs whose values are equal after rounding; 0 where none was rounded."""
-    if not scores.is_rounded or not (scores.n[one].sum() and scores.n[other].sum()):
+    n_one, n_other = scores.n[one].sum(), scores.n[other].sum()
+    if not scores.is_rounded or not n_one or not n_other:
         return 0.0
     _, value = np.unique(scores.trust, return_inverse=True)
     n_values = value.max() + 1
@@ -410,8 +412,8 @@ def detection_times(run: Run, threshold: float | None = None, false_positives: f
         asked["at_fpr"] = (limit, kept)
     if kept == "server" and "trust_lookups" in run.tables:
         asked["at_vehicle"] = (threshold, "vehicles")
-    summaries = [detection_summary(run, *how).assign(at=at) for at, how in asked.items()]
-    return pd.concat(summaries, ignore_index=True)
+    found = {at: detection_summary(run, *how) for at, how in asked.items()}
+    return pd.concat([of.assign(at=at) for at, of in found.items()], ignore_index=True)
 
 
 def summary_of(delays: pd.DataFrame) -> pd.DataFrame:

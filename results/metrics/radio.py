@@ -124,7 +124,8 @@ def latency_quantiles(run: Run) -> pd.DataFrame:
     late = latency(run).groupby("latency_s").n_delivered.sum().cumsum()
     row = {}
     for name, share in (("median_s", 0.5), ("p95_s", 0.95)):
-        row[name] = late.index[late >= share * late.iloc[-1]][0]
+        n = share * late.iloc[-1]
+        row[name] = late.index[late >= n][0]
     return pd.DataFrame([row])
 
 
@@ -247,12 +248,8 @@ def by_place(run: Run, cell_m: float = 50.0) -> pd.DataFrame:
     """,
         cell_m=float(cell_m),
     )
-    return found.assign(pdr=np.nan) if _has_relays(run) else found
-
-
-def _has_relays(run: Run) -> bool:
-    """Whether vehicles forward messages."""
-    return run.config.get("radio", {}).get("relay", {}).get("max_hops", 1) > 1
+    forwards = run.config.get("radio", {}).get("relay", {}).get("max_hops", 1) > 1
+    return found.assign(pdr=np.nan) if forwards else found
 
 
 def to_server(run: Run) -> pd.DataFrame:

@@ -160,7 +160,8 @@ def _own(run: Run) -> pd.DataFrame:
     to_step = who.to_step.to_numpy()
     every = int(interval_steps(run, run.roles.index.to_numpy(np.int64)).max(initial=1))
     parts = run.variant_parts("trust_lookups", ["step"])
-    steps = np.unique(np.concatenate([[0], *(part.step.unique() for part in parts)]))
+    of_parts = [part.step.unique() for part in parts]
+    steps = np.unique(np.concatenate([[0], *of_parts]))
     last = pd.Series(steps, steps // every).groupby(level=0).max()
     few = last.index[:: -(-len(last) // _INSTANTS)]
     looked = steps[np.isin(steps // every, few)]
@@ -266,7 +267,8 @@ def by_role(
     -------
     Name of each role that occurs, in the order of the codes, with a mask of its rows.
     """
-    return [(name, here) for code, name in enumerate(run.role_labels) if (here := role == code).any()]
+    masks = ((name, role == code) for code, name in enumerate(run.role_labels))
+    return [(name, here) for name, here in masks if here.any()]
 
 
 def mean(run: Run) -> pd.DataFrame:
