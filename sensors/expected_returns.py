@@ -15,9 +15,10 @@ from numpy import ndarray
 from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.ragged import owner_of_rows
 from sensors.boxes import Boxes
-from sensors.lidar import Beams, Poses
+from sensors.lidar import Beams
 from sensors.line_of_sight import WallIndex
 from sensors.neighbours import Neighbours
+from sensors.pairs import Poses
 from sensors.scene import Prisms
 
 N_LINES = 5

@@ -12,10 +12,10 @@ from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
-from cosim.base.plane import turned_by, wrapped
+from cosim.base.plane import wrapped
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours, neighbours
-from sensors.pairs import ViewPairs, pairs_of, turned
+from sensors.pairs import Poses
 from sensors.range_noise import RangeNoise
 from sensors.range_steps import NO_RETURN, metres, step_m
 from sensors.raycast import columnar, embree, mesh, open3d
@@ -187,44 +187,6 @@ def beams(params: LidarParams) -> Beams:
         first_row=slopes.first_row,
         most_in_cell=slopes.most_in_cell,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Poses:
-    """Poses of M sensors in the world frame; each is level and looks along its vehicle's heading."""
-
-    origin_m: Float[ndarray, "m 3"]
-    yaw_rad: Float[ndarray, "m"]
-
-    def displaced(self, error: Float[ndarray, "m 3"]) -> Poses:
-        """Other poses: how far they are east [m] and north [m], and by how much they are turned [rad]."""
-        origin_m, yaw_rad = self.origin_m.copy(), self.yaw_rad
-        origin_m[:, :2] += error[:, :2]
-        if error[:, 2].any():
-            yaw_rad = wrapped(yaw_rad + error[:, 2])
-        return Poses(origin_m, yaw_rad)
-
-    def pairs(
-        self,
-        o: Int[ndarray, "n"],
-        boxes: Boxes,
-        b: Int[ndarray, "n"] | None = None,
-        motion: tuple[Float[ndarray, "boxes 2"], float] | None = None,
-    ) -> ViewPairs:
-        """Pairs of a sensor and a box; arguments as in `sensors.pairs.pairs_of`."""
-        return pairs_of(o, self.origin_m, self.yaw_rad, boxes, b, motion)
-
-    def to_sensor(self, o: Int[ndarray, "n"], boxes: Boxes) -> Boxes:
-        """Box k of the world frame in the frame of sensor o[k]: x forward, y left, z up.
-
-        Headings are not wrapped to one turn.
-        """
-        return turned(self.pairs(o, boxes))
-
-    def to_world(self, o: int, xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 3"]:
-        """Points [m] in the frame of sensor `o`, in the world frame."""
-        turned_xy = turned_by(self.yaw_rad[o], xyz)
-        return np.column_stack([turned_xy, xyz[:, 2]]) + self.origin_m[o]
 
 
 def step_of(params: LidarParams) -> float:

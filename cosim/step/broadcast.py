@@ -28,7 +28,7 @@ from cosim.step.exchange import Exchange, OnAir, Senders
 from cosim.step.late import LateMessages, not_accepted
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
-from cosim.step.positioning import Positioned
+from cosim.step.sense import Positioned
 from trust.tables import EvaluationMessages
 
 

@@ -5,7 +5,6 @@ messages of its result, and `cosim.step.fuse` fuses the groups. A vehicle uses t
 sweep, so that the result of one vehicle does not depend on what others compute.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
 from cosim.step.parts import Parts
 from cosim.step.perception import BoxQuestions, Perceives
-from cosim.step.positioning import Positioned
+from cosim.step.sense import Positioned
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
 from sensors.box_fusion import StatedAccuracy
@@ -81,18 +80,6 @@ class Compared:
     fabricated: FabricatedDetections
     """By list; beyond the area, too."""
 
-    @staticmethod
-    def joined(parts: "Sequence[Compared]") -> "Compared":
-        """What all vehicles find, from parts whose vehicles follow each other."""
-        return Compared(
-            lists=ObjectLists.joined([part.lists for part in parts]),
-            groups=Groups.joined([part.groups for part in parts]),
-            n_points=np.concatenate([part.n_points for part in parts]),
-            plausible=np.concatenate([part.plausible for part in parts]),
-            own=Evaluations.concat([part.own for part in parts]),
-            fabricated=FabricatedDetections.concat([part.fabricated for part in parts]),
-        )
-
 
 def compare_objects(
     exchange: Exchange, messages: Known, comparison: "Comparison", parts: Parts
@@ -115,7 +102,15 @@ def compare_objects(
     found = in_parts(compare, _bounds(lists.ptr))
     for watch in watches:
         parts.watch.add(watch, min(n_threads(), len(watches)))
-    compared = Compared.joined([one.compared for one in found])
+    near = [one.compared for one in found]
+    compared = Compared(
+        lists=ObjectLists.joined([part.lists for part in near]),
+        groups=Groups.joined([part.groups for part in near]),
+        n_points=np.concatenate([part.n_points for part in near]),
+        plausible=np.concatenate([part.plausible for part in near]),
+        own=Evaluations.concat([part.own for part in near]),
+        fabricated=FabricatedDetections.concat([part.fabricated for part in near]),
+    )
     groups = ObjectGroups(
         lists=lists,
         groups=Groups.joined([one.groups for one in found]),

@@ -44,11 +44,10 @@ from cosim.step.known import Known
 from cosim.step.late import joined, of_this_step
 from cosim.step.listing import list_objects, senders_among, senders_of
 from cosim.step.parts import Parts
-from cosim.step.positioning import position
 from cosim.step.precomputed import NOTHING_PRECOMPUTED, Precomputed
 from cosim.step.reports import carrier_of, deliver_late, next_carried, update_trust
 from cosim.step.result import Sensed, StepResult
-from cosim.step.sense import identify, mislead, perceive, track_objects
+from cosim.step.sense import identify, mislead, perceive, position, track_objects
 from cosim.step.state import State
 from cosim.step.tracking import count_in_encounters, track_attacks, track_receptions
 from cosim.step.trust import (

@@ -24,7 +24,7 @@ from cosim.step.exchange import Exchange, Senders, Vehicles
 from cosim.step.ground_truth import GroundTruth, ground_truth_of, lies_in_detections
 from cosim.step.known import for_trust
 from cosim.step.parts import Parts
-from cosim.step.positioning import Positioned
+from cosim.step.sense import Positioned
 from cosim.world import World
 from sensors.tracking import ObjectStates
 from trust import tables
@@ -107,10 +107,8 @@ def list_objects(
     world, sensing, senders, attacks = exchange.world, exchange.sensing, exchange.senders, exchange.attacks
     observed, vehicles = positioned.observed, exchange.vehicles
     perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
-    objects, n_dropped = attacks.detections(perceived)
-    withheld = (objects.origin == SENSED) & ~objects.transmitted
-    lied = lies_in_detections(perceived, objects, attacks.malicious())
-    message = senders.message_of(objects, sensing.row)
+    said, n_dropped = attacks.detections(perceived)
+    message = senders.message_of(said, sensing.row)
     gaps_s = np.zeros(len(exchange.stations))
     if parts.config.cpm.rules != "all":
         gaps_s = gap_s(parts.medium, medium, exchange.stations)
@@ -121,14 +119,17 @@ def list_objects(
         gap_s=gaps_s[senders.vehicle],
         interval_s=parts.schedule.longest_steps * parts.config.traffic.step_s,
     )
-    track = np.full(len(objects), -1)
+    is_sensed = said.origin == SENSED
+    track = np.full(len(said), -1)
     if positioned.objects is not None:
-        track[objects.origin == SENSED] = positioned.objects.object_id
+        track[is_sensed] = positioned.objects.object_id
     begin_s, params = exchange.now.begin_s, parts.config.cpm
-    cpm, content = generate(cpm, objects, message, generators, begin_s, params, track)
-    objects = replace(objects, transmitted=content.included)
+    cpm, content = generate(cpm, said, message, generators, begin_s, params, track)
+    objects = replace(said, transmitted=content.included)
+    lied = lies_in_detections(perceived, said, attacks.malicious())
     truth = ground_truth_of(objects, world, observed, sensing.row, lied)
-    was_sensed = np.cumsum(objects.origin == SENSED) - 1
+    withheld = is_sensed & ~said.transmitted
+    was_sensed = np.cumsum(is_sensed) - 1
     objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
     tracks = positioned.objects
     if tracks is not None:

@@ -16,6 +16,7 @@ from sensors import evidence, lidar
 from sensors.boxes import Boxes
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams, ProfileName, RangeImages
+from sensors.pairs import Poses
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +31,14 @@ class MixedImages:
     """Row of each observer among the images of its LiDAR."""
 
     @property
-    def poses(self) -> lidar.Poses:
+    def poses(self) -> Poses:
         """Poses of the sensors of all observers."""
         origin_m = np.empty((len(self.lidar), 3))
         yaw_rad = np.empty(len(self.lidar))
         for images, mine in self._with_observers():
             origin_m[mine] = images.poses.origin_m
             yaw_rad[mine] = images.poses.yaw_rad
-        return lidar.Poses(origin_m, yaw_rad)
+        return Poses(origin_m, yaw_rad)
 
     def _with_observers(self) -> Iterator[tuple[RangeImages, Bool[ndarray, "m"]]]:
         """The images of each LiDAR, and which observers have it."""

@@ -10,9 +10,9 @@ from cosim.step.evaluate import Evaluated
 from cosim.step.exchange import Senders, Vehicles
 from cosim.step.known import Known
 from cosim.step.listing import Listed
-from cosim.step.positioning import Positioned
 from cosim.step.reactions import Reactions
 from cosim.step.reports import EvaluationCarriers
+from cosim.step.sense import Positioned
 from cosim.step.tracking import Reach, Rounds
 from cosim.step.trust import LookedUp
 from cosim.traffic.driver import SpeedCommands

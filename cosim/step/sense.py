@@ -1,24 +1,27 @@
-"""Vehicles sense: their pseudonyms, what they perceive, and their tracks.
+"""Vehicles sense: their pseudonyms, what they perceive, where they estimate themselves to be, and their tracks.
 
 A stage that changes a part of the state takes it as an argument and returns its new value before the result.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.attacks.adversary import ActiveAttacks
+from cosim.base.plane import wrapped
+from cosim.config.config import Config
 from cosim.messages.content import FABRICATED, SELF, SENSED
 from cosim.messages.pseudonyms import PseudonymState, PseudonymUse
 from cosim.step.exchange import Times, Vehicles
 from cosim.step.parts import Parts
 from cosim.step.perception import Observed
-from cosim.step.positioning import Positioned
+from cosim.step.positioning import as_estimated
 from cosim.step.precomputed import Precomputed
+from cosim.traffic.position_errors import PositionErrors
 from cosim.world import World
-from sensors.tracking import Found, Observers, TrackMemory, track
+from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
 
 
 def identify(
@@ -93,6 +96,53 @@ def mislead(observed: Observed, attacks: ActiveAttacks) -> Observed:
         actor_row=actor_row,
         caused_by=np.where(added, seen.target[sensed], -1),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Positioned:
+    """What vehicles perceive, at their estimated positions."""
+
+    observed: Observed
+    world: World
+    """The world with every vehicle at its estimated pose; the true world without `[gnss]`. Vehicles compare received
+    boxes with it."""
+    error: Float[ndarray, "e 3"] | None
+    """Errors of each vehicle, estimated minus true: east [m], north [m], heading [rad]; None without `[gnss]`."""
+    objects: ObjectStates | None = None
+    """What tracking says about the detector's reports, in the order of the detections; None without tracking."""
+
+
+def position(
+    world: World, vehicles: Vehicles, observed: Observed, errors: PositionErrors, config: Config
+) -> tuple[PositionErrors, Positioned]:
+    """Apply position errors to what vehicles perceive; return the new state of the errors and the result.
+
+    Sensors, self-reports and detections are displaced and turned by the errors of their vehicle. The surroundings keep
+    their position relative to the vehicle. Received objects are displaced relative to them by the difference of two
+    errors.
+    """
+    row, gnss, step_s = vehicles.row, config.gnss, config.traffic.step_s
+    if gnss.is_exact:
+        return errors, Positioned(observed, world, None)
+    actor, name_key = vehicles.actor, vehicles.name_key
+    errors, error = errors.next(world.step, actor, name_key, gnss, step_s, config.seed)
+    if config.roadside:  # where a unit stands is known
+        error = np.where(world.is_roadside[row, None], 0.0, error)
+    xyz_m, yaw_rad = world.boxes.xyz_m, world.boxes.yaw_rad
+    sensing, of_sensing = row[vehicles.senses], error[vehicles.senses]
+    detections = observed.detections
+    observer = np.searchsorted(sensing, detections.observer)
+    boxes = as_estimated(detections.boxes, observer, xyz_m[sensing], of_sensing)
+    observed = replace(
+        observed, sweeps=observed.sweeps.displaced(of_sensing), detections=replace(detections, boxes=boxes)
+    )
+    xyz_m = xyz_m.copy()
+    xyz_m[row, :2] += error[:, :2]
+    if error[:, 2].any():
+        yaw_rad = yaw_rad.copy()
+        yaw_rad[row] = wrapped(yaw_rad[row] + error[:, 2])
+    estimated = replace(world, boxes=replace(world.boxes, xyz_m=xyz_m, yaw_rad=yaw_rad))
+    return errors, Positioned(observed, estimated, error)
 
 
 def track_objects(

@@ -15,7 +15,8 @@ from sensors.evidence import (
     plausible,
     points_in_boxes,
 )
-from sensors.lidar import LidarParams, Poses, RangeImages, beams, scan
+from sensors.lidar import LidarParams, RangeImages, beams, scan
+from sensors.pairs import Poses
 from sensors.range_steps import FINEST_M, NO_RETURN
 from sensors.scene import Hit, Scene
 from tests.sensors import whole_cloud

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from cosim.base.threads import n_threads, use_threads
 from sensors.boxes import Boxes
-from sensors.lidar import PROFILES, LidarParams, Poses, Sweeps, beams
+from sensors.lidar import PROFILES, LidarParams, Sweeps, beams
+from sensors.pairs import Poses
 from sensors.raycast.column import below, slopes_of
 from sensors.raycast.mesh import STEP_M, directions
 from sensors.scene import Hit, Scene, prisms
