@@ -136,10 +136,8 @@ class CsmaMedium:
         units, n_segments = _units(messages, keys, number, self.params.receiver.rate_mbps)
         of_round = rng.key(self.seed, rng.Stream.GENERATION, number)
         phase = rng.uniforms(of_round, keys)[:, 0]
-        offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
-        if messages.delay_s is not None:
-            offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
-        units["generated_ns"] = begin_ns + offset_ns[units["message"]]
+        generated_ns = messages.generated_ns(phase, begin_ns, end_ns)
+        units["generated_ns"] = generated_ns[units["message"]]
         units["end_ns"] = round((begin_s + self._lasts_s(kind)) * 1e9)
         new = np.zeros(len(messages), MESSAGE)
         new["name"] = -1 if messages.name is None else messages.name

@@ -112,6 +112,13 @@ class Messages:
         envelope = ENVELOPE_BYTES if self.envelope_bytes is None else self.envelope_bytes[sent]
         return segments(self.length_bytes[sent], envelope, frame_bytes)
 
+    def generated_ns(self, phase: Float[ndarray, "m"], begin_ns: int, end_ns: int) -> Int[ndarray, "m"]:
+        """When messages are generated in a round [ns]: after this share of its first half, and their delay."""
+        offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
+        if self.delay_s is not None:
+            offset_ns += np.rint(1e9 * self.delay_s).astype(np.int64)
+        return begin_ns + offset_ns
+
     def followed_by(self, other: "Messages") -> tuple["Messages", Bool[ndarray, "k"]]:
         """Behind the messages of each station, those that it has among the others; and which messages are others.
 

@@ -393,7 +393,8 @@ def of_units(
 
 def _codes(unit: Int[ndarray, "n"]) -> tuple[Int[ndarray, "n"], int]:
     """Numbers from 0 on of the units, in their order, and how many there are."""
-    if len(unit) and 0 <= int(unit.min()) and int(unit.max()) < 4 * len(unit):  # no need to sort
+    low, high = unit.min(initial=0), unit.max(initial=0)
+    if low >= 0 and high < 4 * len(unit):  # no need to sort
         there = np.bincount(unit) > 0
         code = np.cumsum(there) - 1
         return code[unit], int(code[-1]) + 1

@@ -346,8 +346,7 @@ def _auc_of_scores(
 
 def _tied(scores: lookups.Scores, one: Bool[ndarray, "n"], other: Bool[ndarray, "n"]) -> float:
     """Half the share of pairs whose values are equal after rounding; 0 where none was rounded."""
-    n_one, n_other = scores.n[one].sum(), scores.n[other].sum()
-    if not scores.is_rounded or not n_one or not n_other:
+    if not scores.is_rounded or not (scores.n[one].sum() and scores.n[other].sum()):
         return 0.0
     _, value = np.unique(scores.trust, return_inverse=True)
     n_values = value.max() + 1

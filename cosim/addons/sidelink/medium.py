@@ -153,10 +153,7 @@ class SidelinkMedium:
         segment = ranges(np.zeros_like(count), count)
         generation = rng.key(self.seed, rng.Stream.GENERATION, kind)
         phase = rng.uniforms(generation, keys)[:, 0]
-        offset_ns = np.floor(phase * (end_ns - begin_ns) / 2).astype(np.int64)
-        if messages.delay_s is not None:
-            offset_ns += np.rint(1e9 * messages.delay_s).astype(np.int64)
-        generated_ns = begin_ns + offset_ns[message]
+        generated_ns = messages.generated_ns(phase, begin_ns, end_ns)[message]
         unit = np.zeros(len(message), UNIT)
         unit["key"] = rng.keys(np.uint64(number), keys[message], segment)
         unit["generated"] = generated_ns // self._slot_ns
