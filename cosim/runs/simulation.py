@@ -26,6 +26,7 @@ from cosim.runs import recording
 from cosim.runs import run as running
 from cosim.runs.check import check, notes_on
 from cosim.runs.drive import warm_up
+from cosim.runs.rows import Columns
 from cosim.step.cycle import step
 from cosim.step.fuse import boxes_of
 from cosim.step.mixed_perception import MixedImages
@@ -319,9 +320,9 @@ class _Columns:
     tables = tuple(TABLES)
 
     def __init__(self) -> None:
-        self.of_table: dict[str, list[recording.Columns]] = {}
+        self.of_table: dict[str, list[Columns]] = {}
 
-    def append(self, table: str, step: int, columns: recording.Columns) -> None:
+    def append(self, table: str, step: int, columns: Columns) -> None:
         """As `Recorder`."""
         if any(values is not None and len(values) for values in columns.values()):
             self.of_table.setdefault(table, []).append(columns)
