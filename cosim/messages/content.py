@@ -1,6 +1,6 @@
 """Content and length of messages."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -252,7 +252,7 @@ def faults(listed: Detections, xyz_m: Float[ndarray, "w 3"]) -> Int[ndarray, "d"
 def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
     """The self reports of the vehicles in these rows of the world: their true boxes, with index 0 and score 1.
 
-    `with_motion` adds speeds and accelerations.
+    `cosim.step.listing` adds speeds and accelerations.
     """
     n = len(observers)
     return Detections.perceived(
@@ -264,14 +264,3 @@ def self_reports(world: World, observers: Int[ndarray, "o"]) -> Detections:
         np.zeros(n, np.int32),
         np.full(n, SELF, np.uint8),
     )
-
-
-def with_motion(
-    listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
-) -> Detections:
-    """The detections, with speeds and accelerations (by row of the world) written into the self reports."""
-    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
-    rows = np.flatnonzero(listed.origin == SELF)
-    speed[rows] = speed_mps[listed.observer[rows]]
-    acceleration[rows] = acceleration_mps2[listed.observer[rows]]
-    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)

@@ -23,7 +23,7 @@ from numpy import ndarray
 from cosim.base.plane import wrapped
 from cosim.base.ragged import place_in_group, rows_of
 from cosim.messages.content import SELF, Detections, velocities
-from cosim.messages.cpm_params import CpmParams
+from cosim.messages.cpm_params import MOST_OBJECTS, CpmParams
 from cosim.messages.redundancy import Candidates, Heard, redundant
 from cosim.world import LABELS
 
@@ -194,7 +194,8 @@ def generate(
         may = generated.elapsed_s(generators.sender, time_s) >= least_s - _SLACK_S
         generated = generated.noted(generators.sender[may], time_s)
         inclusion[listed.transmitted & ~may[message]] = Inclusion.WAITING
-    if params.selects:
+    selects = params.rules != "all" or params.redundancy != "none"
+    if selects or params.max_objects < MOST_OBJECTS:
         track = np.full(len(listed), -1) if track is None else track
         inclusion, included = _select(state, listed, inclusion, message, generators, time_s, params, track)
     if params.length == "uper":

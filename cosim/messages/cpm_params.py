@@ -48,11 +48,6 @@ class CpmParams:
     """With `distance`: largest distance of the other vehicle, at the time of its report, at which the object is left
     out [m]."""
 
-    @property
-    def selects(self) -> bool:
-        """Whether some detections may not be included."""
-        return self.rules != "all" or self.redundancy != "none" or self.max_objects < MOST_OBJECTS
-
     def longest_gap_s(self, interval_s: float) -> float:
         """Longest time between two messages of a vehicle that senses in such intervals and reports itself.
 

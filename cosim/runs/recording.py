@@ -21,7 +21,7 @@ from cosim.base.ragged import place_in_group
 from cosim.messages.content import FABRICATED, SENSED
 from cosim.messages.pseudonyms import PseudonymUse
 from cosim.runs import channel_rows, trust_rows
-from cosim.runs.rows import Columns, TakesRows, observer_of, without
+from cosim.runs.rows import Columns, TakesRows, without
 from cosim.step.known import Known
 from cosim.step.listing import Listed
 from cosim.step.parts import Parts
@@ -156,7 +156,7 @@ def box_columns(boxes: Boxes) -> Rows:
 def _detections(recorder: TakesRows, world: World, sensed: Sensed) -> None:
     """Append detections, the errors of the poses behind them, and what the LiDARs could have seen."""
     now_step, positioned, seen = world.step, sensed.positioned, sensed.positioned.observed.observability
-    recorder.append("detections", now_step, detection_columns(world, sensed.listed, observer_of(sensed)))
+    recorder.append("detections", now_step, detection_columns(world, sensed.listed, sensed.observer()))
     if positioned.error is not None:
         x, y, heading = positioned.error.T
         errors: Rows = {"vehicle": sensed.vehicles.actor, "error_x_m": x, "error_y_m": y}
@@ -219,7 +219,7 @@ def _track_rows(sensed: Sensed, states: ObjectStates) -> Columns:
 
     x, y = listed.velocity_mps[rows].T
     return {
-        "observer": observer_of(sensed)[rows],
+        "observer": sensed.observer()[rows],
         "detection_index": listed.detection_index[rows],
         "object_id": from_state(states.object_id),
         "object_id__valid": is_tracked,
@@ -237,7 +237,7 @@ def _track_rows(sensed: Sensed, states: ObjectStates) -> Columns:
 def _stated_accuracy_rows(sensed: Sensed) -> Columns:
     stated = sensed.listed.objects
     return {
-        "observer": observer_of(sensed),
+        "observer": sensed.observer(),
         "detection_index": stated.detection_index,
         **_std("", "m", stated.variance_m2),
         **_std("relative_", "m", stated.relative_m2),

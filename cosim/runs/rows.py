@@ -3,10 +3,8 @@
 from collections.abc import Container, Mapping
 from typing import Protocol
 
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from numpy import ndarray
-
-from cosim.step.result import Sensed
 
 Columns = Mapping[str, ndarray | None]
 """Columns of a table, ready for the recorder."""
@@ -29,8 +27,3 @@ def without(left_out: Bool[ndarray, "n"], rows: Columns) -> Columns:
         return rows
     kept = ~left_out
     return {name: None if column is None else column[kept] for name, column in rows.items()}
-
-
-def observer_of(sensed: Sensed) -> Int[ndarray, "d"]:
-    """Pseudonym of the sender of each detection that is listed in this step."""
-    return sensed.senders.pseudonym[sensed.listed.detections.message]

@@ -11,7 +11,7 @@ from cosim.base.codes import EvaluationKind, LookupState
 from cosim.base.ragged import stable_order
 from cosim.messages.content import FABRICATED
 from cosim.messages.trust_hosts import Lookups, ServerTraffic
-from cosim.runs.rows import Columns, TakesRows, observer_of
+from cosim.runs.rows import Columns, TakesRows
 from cosim.step.result import Sensed
 from cosim.step.trackers import evidence_audit
 from cosim.world import World
@@ -61,7 +61,7 @@ def transmitted(recorder: TakesRows, now_step: int, sensed: Sensed) -> None:
     recorder.append("transmitted_evaluations", now_step, rows)
     detections, chosen = sensed.listed.detections, sensed.listed.objects.transmitted
     scores = {
-        "observer": observer_of(sensed)[chosen],
+        "observer": sensed.observer()[chosen],
         "detection_index": detections.detection_index[chosen],
         "score": detections.score[chosen],
     }

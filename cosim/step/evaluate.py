@@ -109,10 +109,11 @@ def evaluate_objects(
     is_sent = messages.objects.transmitted[lists.member]
     is_sent &= messages.is_new(lists.of_member(), lists.member)
     step = exchange.now.step
+    of_identities, at = _lists_of_identities(lists, exchange.senders)
     own_messages = _messages_of(step, messages, lists, own, is_sent, number)
     kept_messages = own_messages
-    lists, at = _lists_of_identities(lists, exchange.senders)
     if at is not None:  # rows of the lists of vehicles, once for each of their identities
+        lists = of_identities
         n_points, plausible, ego_detected = n_points[at], plausible[at], ego_detected[at]
         own, reported = own.take(at), reported.take(at)
         lied, is_sent = lied[at], is_sent[at]

@@ -12,9 +12,9 @@ from numpy import ndarray
 from cosim.attacks.adversary import ActiveAttacks
 from cosim.attacks.disguise import shuffled
 from cosim.messages.content import (
+    SELF,
     SENSED,
     Detections,
-    with_motion,
 )
 from cosim.messages.cpm_generation import CpmContent, CpmState, Generators, generate
 from cosim.messages.pseudonyms import PseudonymState
@@ -106,8 +106,9 @@ def list_objects(
     """
     world, sensing, senders, attacks = exchange.world, exchange.sensing, exchange.senders, exchange.attacks
     observed, vehicles = positioned.observed, exchange.vehicles
-    perceived = with_motion(observed.detections, world.speed_mps, acceleration_mps2)
+    perceived = _with_motion(observed.detections, world.speed_mps, acceleration_mps2)
     said, n_dropped = attacks.detections(perceived)
+    on_purpose = attacks.malicious()
     message = senders.message_of(said, sensing.row)
     gaps_s = np.zeros(len(exchange.stations))
     if parts.config.cpm.rules != "all":
@@ -126,7 +127,7 @@ def list_objects(
     begin_s, params = exchange.now.begin_s, parts.config.cpm
     cpm, content = generate(cpm, said, message, generators, begin_s, params, track)
     objects = replace(said, transmitted=content.included)
-    lied = lies_in_detections(perceived, said, attacks.malicious())
+    lied = lies_in_detections(perceived, said, on_purpose)
     truth = ground_truth_of(objects, world, observed, sensing.row, lied)
     withheld = is_sensed & ~said.transmitted
     was_sensed = np.cumsum(is_sensed) - 1
@@ -149,3 +150,14 @@ def list_objects(
         content=replace(content, inclusion=content.inclusion[order]),
         tracks=tracks,
     )
+
+
+def _with_motion(
+    listed: Detections, speed_mps: Float[ndarray, "n"], acceleration_mps2: Float[ndarray, "n"]
+) -> Detections:
+    """The detections, with speeds and accelerations (by row of the world) written into the self reports."""
+    speed, acceleration = listed.speed_mps.copy(), listed.acceleration_mps2.copy()
+    rows = np.flatnonzero(listed.origin == SELF)
+    speed[rows] = speed_mps[listed.observer[rows]]
+    acceleration[rows] = acceleration_mps2[listed.observer[rows]]
+    return replace(listed, speed_mps=speed, acceleration_mps2=acceleration)

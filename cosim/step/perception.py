@@ -193,11 +193,11 @@ class Perception:
             some, part = observers[first:last], near.part(first, last)
             kept = self._groups.pop() if self._groups else NO_MEMORY
             memory = kept._replace(range_steps=range_steps[first:last], near=part, bodies=bodies)
+            draws = detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[some])
             with own("sweep"):
                 sweeps = swept(world, some, self.city, self.lidar, self.weather, self.seed, memory)
             with own("detect"):
                 here = evidence.observability(sweeps, world.boxes, world.shape, part, bodies)
-                draws = detector_draws(self.seed, self.dt_s, world.step, world.name_key, world.name_key[some])
                 reports = detector.detect(self.detector, sweeps, here, world.boxes, world.label, draws)
             self._groups.append(SweepMemory(None, sweeps.hit))
             return Seen(here, reports).behind(first), own

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from jaxtyping import Int
+from numpy import ndarray
+
 from cosim.base.deferred import Deferred
 from cosim.messages.pseudonyms import PseudonymUse
 from cosim.messages.trust_hosts import ServerTraffic
@@ -54,6 +57,10 @@ class Sensed:
     """Per trust variant, the traffic from and to its server; None if it has no server."""
     attack_outcomes: Deferred[list[Rows]]
     """Columns of the table `attack_outcomes`, per trust variant that fuses."""
+
+    def observer(self) -> Int[ndarray, "d"]:
+        """Pseudonym of the sender of each detection that is listed in this step."""
+        return self.senders.pseudonym[self.listed.detections.message]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

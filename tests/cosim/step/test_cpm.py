@@ -6,7 +6,7 @@ import pytest
 from cosim.messages.content import SELF, encoded_cpm_bytes
 from cosim.messages.cpm_generation import CpmState, Inclusion
 from cosim.radio.segmentation import ENVELOPE_BYTES, FRAME_BYTES, segments
-from cosim.runs import recording
+from cosim.runs import channel_rows, recording
 from cosim.step.cycle import step
 from cosim.step.state import State
 from tests.scene import ScriptedScene, assert_same, parts_of, play
@@ -61,7 +61,7 @@ def test_the_table_counts_every_object_once(choice):
         state, result = step(scene.world(number), state, parts)
         recording.step(kept, result, parts.config.traffic.step_s)
         rows, sensed = kept.rows[-1], result.sensed
-        reasons = [rows[name] for name in recording.INCLUSIONS]
+        reasons = [rows[name] for name in channel_rows.INCLUSIONS]
         assert (sum(reasons) == rows["n_objects"]).all() and (rows["sender"] == sensed.senders.pseudonym).all()
         objects, message = sensed.listed.objects, sensed.listed.detections.message
         others = objects.transmitted & (objects.origin != SELF)
@@ -73,7 +73,7 @@ def test_the_table_counts_every_object_once(choice):
             on_air = rows["length_bytes"] > 0
             assert rows["length_bytes"][on_air].tolist() == length[on_air].tolist()
             assert (rows["n_included"] <= 1).all()
-    total = {name: sum(row[name].sum() for row in kept.rows) for name in recording.INCLUSIONS}
+    total = {name: sum(row[name].sum() for row in kept.rows) for name in channel_rows.INCLUSIONS}
     assert (total["n_over_limit"] > 0) == ("cpm.max_objects=1" in choice)
     assert (total["n_redundant"] > 0) == ("cpm.redundancy=distance" in choice)
     assert (total["n_not_due"] > 0) == ("cpm.rules=etsi" in choice)
