@@ -536,11 +536,6 @@ def _with_tags(now: ChannelState, number: Int[ndarray, "f"]) -> ChannelState:
     return replace(now, packets=packets)
 
 
-def without_cache(state: ChannelContext) -> ChannelContext:
-    """A state without its cache: the next round computes all links again."""
-    return replace(state, cache=None)
-
-
 def _units(
     messages: Messages, keys: UInt64[ndarray, "m"], round_number: int, rate_mbps: float
 ) -> tuple[ndarray, Int[ndarray, "m"]]:

@@ -10,7 +10,7 @@ from numpy import ndarray
 from cosim.base import rng
 from cosim.radio.channel import AccessParams, ChannelRules, Packets, run_window
 from cosim.radio.channel_state import ChannelState
-from cosim.radio.csma import CsmaMedium, without_cache
+from cosim.radio.csma import CsmaMedium
 from cosim.radio.link_budget import links_between
 from cosim.radio.medium import MEDIA
 from cosim.radio.message_round import FrameOutcomes, Messages, RoundKind, Stations
@@ -103,7 +103,7 @@ def _rounds(
     times: tuple[list[float], list[float]] = ([], [])
     for i in range(2 * _ROUNDS):
         if i % 2 == 0:
-            state = without_cache(state)
+            state = replace(state, cache=None)
         begin = thread_time()
         state, happened = medium.broadcast(state, RoundKind(i % 2), i // 2, 0.2 * i, stations, messages)
         times[i % 2].append(thread_time() - begin)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cosim.base.codes import LosState
-from cosim.radio import csma
 from cosim.radio.csma import CsmaMedium
 from cosim.radio.dcc import DccParams
 from cosim.radio.message_round import ChannelAbuse, Messages, Outcome, RoundKind, Stations
@@ -113,7 +112,7 @@ def test_links_are_kept_while_no_station_moves():
         before, stations = kept.cache, Stations(keys_of(50), xyz, 50)
         round_ = RoundKind(i % 2), i // 2, 0.5 * i, stations, Messages.one_each(np.full(50, 400))
         kept, one = medium.broadcast(kept, *round_)
-        fresh, other = medium.broadcast(csma.without_cache(fresh), *round_)
+        fresh, other = medium.broadcast(replace(fresh, cache=None), *round_)
         assert (kept.cache is before) == (i in (1, 3))
         one, other = one.receptions, other.receptions
         assert np.array_equal(one.receiver, other.receiver) and np.array_equal(one.latency_s, other.latency_s)
