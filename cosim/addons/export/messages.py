@@ -126,6 +126,14 @@ class ExportedMessages:
         """Units of work that each make the files of some receivers."""
         return units_of(self.selection, partial(files, self))
 
+    def remarks(self) -> tuple[str, ...]:
+        """How many received messages are in no file, because they hold no self report; nothing if all are."""
+        got = receptions_of(self.selection, list(self.selection.vehicles))
+        told = self.sent[["step", "observer"]].rename(columns={"observer": "sender"})
+        n_silent = len(got) - len(got.merge(told))
+        why = f"{n_silent:,} of {len(got):,} received messages are left out: they hold no self report."
+        return (why,) if n_silent else ()
+
     def received(self, receivers: list[int]) -> ReceivedMessages:
         """What these vehicles received."""
         got = receptions_of(self.selection, receivers)

@@ -7,7 +7,8 @@ heading [m/s2]; `hed` clockwise from north [degrees]; times in nanoseconds; `sen
 `attacker` is 1 from the first attack of the sender on. `distance_to_road_edge` is positive on a lane and negative
 beside all of them [m], of the position as reported. `pos_noise` and `hed_noise` of a sender are the standard deviations
 of the errors of its position and heading (`gnss`); a receiver's own state is the true one, in the step of
-the reception. There is one profile of drivers.
+the reception. There is one profile of drivers. Messages without a self report state nothing of their sender, so they
+are left out, and the export says how many.
 """
 
 import json
@@ -45,7 +46,7 @@ class VeremiNextGen:
         names = kitti.names(selection)
         units = [*sent.units(_receivers), names]
         n = selection.run.n_rows("receptions")
-        return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n)
+        return Plan(tuple(units), 0, 0, 0.5 * MESSAGE_BYTES * n, sent.remarks())
 
 
 def _receivers(sent: ExportedMessages, receivers: list[int], clouds: Clouds) -> Iterator[File]:

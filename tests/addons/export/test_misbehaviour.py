@@ -57,6 +57,16 @@ def test_nextgen_receiver_of_a_late_message(tmp_path):
     assert [m["receiver"]["spd"] for m in received] == ["6.0000", "7.0000", "8.0000"]
 
 
+def test_messages_without_a_self_report_are_counted(run, tmp_path):
+    """There are 2 receptions in step 0 and 6 in each later one. In step 1 vehicles 0 and 3 receive the truck's message,
+    in which it leaves its own report out."""
+    silent = {"step": 1, "observer": 1, "detection_index": 0}
+    some = truck.make(tmp_path / "run", lambda table, row: table != "detections" or not silent.items() <= row.items())
+    (remark,) = veremi_nextgen.VeremiNextGen().plan(truck.selection(some)).remarks
+    assert remark == "2 of 20 received messages are left out: they hold no self report."
+    assert veremi_nextgen.VeremiNextGen().plan(truck.selection(run)).remarks == ()
+
+
 def test_without_self_reports_there_is_nothing_to_export(tmp_path):
     (tmp_path / "run").mkdir()
     run = tiny.make(tmp_path / "run", 4, truck.CONFIG, vehicles=[truck.body(0, "car", (4, 2, 1.5), "a")])
