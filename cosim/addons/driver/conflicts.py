@@ -1,9 +1,11 @@
 """Surrogate safety measures from poses alone: time to collision, deceleration to avoid a crash, post-encroachment time.
 
 Geometry: a vehicle's leader is the nearest vehicle ahead of it whose heading differs by less than 45 degrees and whose
-footprint overlaps the straight extension of its own, at most 50 m away unless asked otherwise. In bends this misses
-leaders that a lane would show. Vehicles whose wheels are more than 3 m apart in height are on different roads, such as
-a bridge and the street below. Definitions follow SUMO's SSM device, against which they are verified.
+middle is beside the vehicle's straight axis by less than half the sum of both widths, at most 50 m away unless asked
+otherwise. The gap is that of parallel vehicles: the distance of their middles along this axis, less half the sum of
+both lengths. In bends this misses leaders that a lane would show. Vehicles whose wheels are more than 3 m apart in
+height are on different roads, such as a bridge and the street below. Definitions follow SUMO's SSM device, against
+which they are verified.
 """
 
 from collections.abc import Iterator

@@ -43,6 +43,21 @@ def test_time_to_collision_by_hand():
     np.testing.assert_allclose(found[["gap_m", "ttc_s", "drac_mps2"]].to_numpy(), [[15, 2.5, 1.2]])
 
 
+def test_a_leader_that_turns_counts_by_its_middle():
+    """A bus of 12 m, turned by 40 degrees, 25 m ahead and 2 m aside: half of both widths is 2.25 m. At 2.5 m aside it
+    is no leader, though a corner of it is in the way. The gap is 25 - (5 + 12) / 2 = 16.5 m. It drives 5 cos 40."""
+    turn = np.radians(40)
+    for aside_m, n in ((2.0, 1), (2.5, 0)):
+        rows = poses({1: [(0, 0, 0, 10)], 2: [(25, aside_m, turn, 5)]})
+        bus = rows.actor == 2
+        found = conflicts.following(
+            Poses, rows.assign(length_m=rows.length_m + 7 * bus, width_m=rows.width_m + 0.5 * bus)
+        )
+        closing_mps = 10 - 5 * np.cos(turn)
+        assert found.gap_m.tolist() == [16.5] * n
+        assert found.ttc_s.tolist() == pytest.approx([16.5 / closing_mps] * n)
+
+
 def test_post_encroachment_time_by_hand():
     """One goes east through the origin at t = 2 s, one north at t = 4 s, both at 10 m/s. The common area reaches
     (5 + 2) / 2 = 3.5 m either way: the first leaves at 2.35 s, the second arrives at 3.65 s: 1.3 s."""
