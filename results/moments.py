@@ -220,7 +220,7 @@ class Selection:
         Parameters
         ----------
         steps
-            Steps in any order. The moments come in ascending order; a step without actors has none.
+            Steps in any order. The moments come in ascending order; that of a step without actors is empty.
         """
         where = at_steps(steps)
         detections = self._detections(where)
@@ -242,9 +242,11 @@ class Selection:
         """Like `moments`, but the actors alone: nothing is detected or visible."""
         actors = self.run.table("actors", where=at_steps(steps)).sort_values(["step", "actor"])
         actors = actors.join(self.bodies, on="actor")
-        for step, rows in actors.groupby("step"):
+        of_step = _by_number(actors, "step")
+        for step in np.sort(steps).tolist():
+            rows = of_step.get(step, actors[:0])
             yield Moment(
-                step=int(cast(int, step)),
+                step=step,
                 actor=rows.actor.to_numpy(np.int64),
                 vehicle_class=rows.vehicle_class.astype(object).to_numpy(),
                 box=rows[BOX].to_numpy(float),

@@ -64,10 +64,8 @@ def _packed(selection: Selection) -> bytes:
     with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n')
         for steps in selection.spans():
-            here = {moment.step: moment for moment in selection.traffic(steps)}
-            for step in steps.tolist():
-                text = _timestep(step, here.get(step), fixed, selection.run.dt_s, selection.place.origin_m)
-                file.write(text)
+            for moment in selection.traffic(steps):
+                file.write(_timestep(moment, fixed, selection.run.dt_s, selection.place.origin_m))
         file.write(b"</fcd-export>\n")
     return packed.getvalue()
 
@@ -83,15 +81,15 @@ def _fixed(actor: dict[Hashable, Any]) -> str:
 
 
 def _timestep(
-    step: int,
-    moment: Moment | None,
+    moment: Moment,
     fixed: dict[int, str],
     dt_s: float,
     origin_m: tuple[float, float],
 ) -> bytes:
     """A step; without actors it is an empty element, so that no reader takes it for a gap."""
-    if moment is None:
-        return f'    <timestep time="{step * dt_s:.4f}"/>\n'.encode()
+    time = f'time="{moment.step * dt_s:.4f}"'
+    if not len(moment.actor):
+        return f"    <timestep {time}/>\n".encode()
     box = moment.box
     yaw = box[:, 6]
     half_length = 0.5 * box[:, 3:4]
@@ -100,7 +98,7 @@ def _timestep(
     angle = np.mod(90.0 - np.degrees(yaw), 360.0)
     columns = (moment.actor, *front.T, underside, angle, moment.speed_mps)
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    lines = [f'    <timestep time="{step * dt_s:.4f}">\n']
+    lines = [f"    <timestep {time}>\n"]
     for actor, x, y, z, degrees, speed in rows:
         if actor not in fixed:
             continue

@@ -349,12 +349,6 @@ class Bag:
         return START_S * 10**9 + round(step * self.selection.run.dt_s * 1e9)
 
     @cached_property
-    def there(self) -> Int[ndarray, "s"]:
-        """Steps with an actor on the road."""
-        actors = self.selection.run.table("actors", ["step"], at_steps(self.selection.steps))
-        return np.unique(actors.step)
-
-    @cached_property
     def rated(self) -> dict[int, ndarray]:
         """By step: points with trust."""
         run = self.selection.run
@@ -377,10 +371,9 @@ class Bag:
     def topics(self) -> dict[str, tuple[str, int]]:
         """Message type of each topic, and the number of its messages."""
         found = {"/buildings": ("visualization_msgs/msg/Marker", 1)}
-        n = len(self.there)
+        n = len(self.selection.steps)
         found |= {name: ("visualization_msgs/msg/MarkerArray", n) for name in ("/actors", "/fabricated")}
-        rated_steps = self.rated.keys() & set(self.there.tolist())
-        found["/trust"] = ("sensor_msgs/msg/PointCloud2", len(rated_steps))
+        found["/trust"] = ("sensor_msgs/msg/PointCloud2", len(self.rated))
         found["/tf"] = ("tf2_msgs/msg/TFMessage", self.mine.step.nunique())
         for vehicle, rows in self.mine.groupby("vehicle"):
             if self.clouds:

@@ -458,20 +458,19 @@ def _block(  # type: ignore[no-untyped-def]
     here = dict(iter(actors.groupby("step")))
     for step in steps.tolist():
         recording.set_time("time", duration=step * run.dt_s)
-        now = here.get(step)
-        if now is not None:
-            number = now.actor.to_numpy(np.int64)
-            value = in_vehicles(run, step).reindex(number).to_numpy()
-            boxes = _boxes(now)
-            roles, rated = role_colours(run, number), colours(value)
-            flat = log_actors(recording, boxes, roles, rated)
-            met = encounters[(encounters.start_step <= step) & (encounters.end_step > step)]
-            met = met[met.a.isin(number) & met.b.isin(number)]
-            ends = [np.searchsorted(number, met[end].to_numpy()) for end in ("a", "b")]
-            lines = np.stack([flat[e] for e in ends], axis=1)
-            recording.log("map/encounters", rerun.LineStrips2D(lines, colors=[120, 60, 160], radii=0.3))
-            high = np.stack([boxes.xyz_m[e] for e in ends], axis=1)
-            recording.log("city/encounters", rerun.LineStrips3D(high, colors=[120, 60, 160], radii=0.08))
+        now = here.get(step, actors[:0])
+        number = now.actor.to_numpy(np.int64)
+        value = in_vehicles(run, step).reindex(number).to_numpy()
+        boxes = _boxes(now)
+        roles, rated = role_colours(run, number), colours(value)
+        flat = log_actors(recording, boxes, roles, rated)
+        met = encounters[(encounters.start_step <= step) & (encounters.end_step > step)]
+        met = met[met.a.isin(number) & met.b.isin(number)]
+        ends = [np.searchsorted(number, met[end].to_numpy()) for end in ("a", "b")]
+        lines = np.stack([flat[e] for e in ends], axis=1)
+        recording.log("map/encounters", rerun.LineStrips2D(lines, colors=[120, 60, 160], radii=0.3))
+        high = np.stack([boxes.xyz_m[e] for e in ends], axis=1)
+        recording.log("city/encounters", rerun.LineStrips3D(high, colors=[120, 60, 160], radii=0.08))
         for name, every in shown.items():
             if not ((every.step == step) | (every.end_step == step)).any():
                 continue
@@ -486,8 +485,10 @@ def _block(  # type: ignore[no-untyped-def]
             if name == "fabricated":
                 flat = on_map(boxes.xyz_m)
                 recording.log(f"map/{name}", rerun.Points2D(flat, colors=colour, radii=4.0))
-        if now is None or sweeper is None:
+        if sweeper is None:
             continue
+        for vehicle in set(vehicles) - set(number.tolist()):
+            recording.log(f"city/clouds/{vehicle}", rerun.Clear(recursive=False))
         there = now[now.actor.isin(list(vehicles))].actor.to_numpy(np.int64)
         there = there[senses(run, np.full(len(there), step), there)].tolist()
         for vehicle, cloud in zip(there, sweeper(step, there), strict=True):

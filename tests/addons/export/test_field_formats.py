@@ -210,6 +210,13 @@ def test_bag_has_trust_in_pseudonyms_in_use_alone(tmp_path):
     assert np.frombuffer(rated.data, ros2.RATED)["subject"].tolist() == [1]
 
 
+def test_boxes_are_deleted_where_nobody_is_on_the_road(of, tmp_path):
+    """Actors are there in steps 0 to 3. The message of step 4 deletes their boxes and adds none."""
+    bag(replace(of, steps=np.arange(5)), tmp_path)
+    arrays = [content for topic, _, content in decoded(tmp_path) if topic == "/actors"]
+    assert [len(array.markers) for array in arrays] == [3, 4, 5, 5, 1]
+
+
 def test_bag_of_no_vehicle_in_particular(of, tmp_path):
     bag(replace(of, named=False), tmp_path)
     assert {topic for topic, _, _ in decoded(tmp_path)} == {"/actors", "/buildings", "/fabricated", "/trust"}

@@ -112,7 +112,7 @@ def test_boxes_are_shown_until_their_vehicle_senses_again(tmp_path):
 
 def test_trust_of_before_the_first_step_shown_is_known(tmp_path):
     """The server rated vehicle 0 in step 2, and the view begins with step 5."""
-    from rerun import Points2D
+    from rerun import Clear, Points2D
 
     logged = {}
 
@@ -129,6 +129,9 @@ def test_trust_of_before_the_first_step_shown_is_known(tmp_path):
     _block(Kept(), run, None, np.array([5]), run.encounters, (), None)
     expected = Points2D([[0, 0]], colors=colours(np.array([0.25]))).colors
     assert logged["map/rings"].colors.as_arrow_array().equals(expected.as_arrow_array())
+    _block(Kept(), run, None, np.array([6]), run.encounters, (0,), lambda step, vehicles: [])
+    assert len(logged["map/rings"].positions) == 0  # nobody is on the road any more
+    assert isinstance(logged["city/clouds/0"], Clear)
 
 
 def test_the_first_view(folder):
