@@ -291,7 +291,10 @@ def _road_edge_m(
                 strips.append(shapely.buffer(line, 0.5 * lane.width_m, quad_segs=4))
         whole = shapely.union_all(strips)
         if whole.is_empty:
-            raise ValueError("the run's traffic has no network: the distance to the edge of the road is not known.")
+            raise ValueError(
+                "the run's traffic has no network: the distance to the edge of the road is not known. Set "
+                "traffic.scenario to a city and traffic.trace to the trace, and run again."
+            )
         shapely.prepare(whole)
         xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(whole)), return_index=True)
         inside = np.flatnonzero(ring[1:] == ring[:-1])
