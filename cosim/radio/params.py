@@ -80,7 +80,8 @@ class RadioParams:
     timeout_s: Annotated[float, Gt(0), Le(3600)] | None = None
     """Longest time from the beginning of a step until its detection messages have arrived [s]; its evaluation messages
     have twice that. A message that is not sent by then expires. If it is not set, it is two fifths of the shortest
-    sensing interval."""
+    sensing interval. With `unit_disk` and the sidelinks, a message ends with its round, which is shorter where vehicles
+    sense at different times."""
     antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
     """Height of the antenna above the roof [m]."""
     evaluations: Literal["alone", "piggybacked"] = "alone"
