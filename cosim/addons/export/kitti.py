@@ -20,7 +20,8 @@ holds one black image of that size, linked for every frame, because loaders ask 
 An object is labelled if it gave at least one return and is in the image. An object in the image that gave none because
 something stands in between is a DontCare region, after all labels of its frame. A frame with neither has one DontCare
 region of no area, because common loaders fail at an empty label file. Occlusion is 0, 1 or 2 if up to 20 %, up to 50 %
-or more of an object's returns are lost to what stands in between.
+or more of an object's returns are lost to what stands in between. Where the LiDAR turns (`lidar.rotation_hz`), labels
+are of the moment in which it looks ahead; what moves is elsewhere when it looks there, by up to half a turn's way.
 
 Deviations: buses are trucks, motorcycles are cyclists, and the reflectance is 0.
 """

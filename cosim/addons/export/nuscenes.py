@@ -6,11 +6,12 @@ Notes
 is a sample (a key frame), whatever the interval; nuScenes itself has one each 0.5 s. The global frame is the world of
 the tables, x east, y north, z up. The ego frame lies under the middle of the vehicle on the ground, x forward, y left.
 The sensor frame of LIDAR_TOP is that of nuScenes: x right, y forward, z up. Clouds have x, y, z, intensity and ring.
-Annotated is every actor with at least one return; its visibility is the share of returns that nothing hides. Instances
-do not outlive a scene. Second 0 of a run is 2025-01-01 00:00 UTC. Time stamps are microseconds; each vehicle's are one
-more than those of the vehicle before, because the kit cannot list scenes that begin at the same time. `names.csv` says
-whose a scene is, and when.   Deviations: intensity and ring are 0; no cameras, no radars, no sweeps between key frames;
-the map mask is one black pixel; ego origin is not the rear axle, which the tables do not have; vans are cars.
+Annotated is every actor with at least one return, where it is at the time of the sweep, as in `kitti.py`; its
+visibility is the share of returns that nothing hides. Instances do not outlive a scene. Second 0 of a run is 2025-01-01
+00:00 UTC. Time stamps are microseconds; each vehicle's are one more than those of the vehicle before, because the kit
+cannot list scenes that begin at the same time. `names.csv` says whose a scene is, and when.   Deviations: intensity and
+ring are 0; no cameras, no radars, no sweeps between key frames; the map mask is one black pixel; ego origin is not the
+rear axle, which the tables do not have; vans are cars.
 """
 
 import hashlib

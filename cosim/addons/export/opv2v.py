@@ -7,7 +7,8 @@ its vehicles comes or goes. Readers take at most seven vehicles, and the smalles
 ego. Up to seven chosen vehicles stay together; more are grouped every ten seconds, each group around the vehicle that
 has most others within 70 m. Sensors are level, so the right-handed world of the tables is kept: x east, y north, z up;
 yaw counter-clockwise in degrees. `vehicles` holds cars, vans, trucks and buses with at least one return; `location` is
-the middle of their underside, `center` leads from there to the middle of the box, `extent` is half of the size.
+the middle of their underside at the time of the sweep, as in `kitti.py`; `center` leads from there to the middle of the
+box, `extent` is half of the size.
 `predicted_ego_pos` is what the vehicle reports of itself, if it does. Time stamps are numbers of sweeps, whatever their
 interval; readers assume 10 Hz. On request, `%06d_pred.npy` holds the corners of the detected vehicles that the vehicle
 transmitted [n, 8, 3], in the frame of its LiDAR, as OpenCOOD saves predictions, and `%06d_score.npy` their scores. The
