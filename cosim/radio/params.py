@@ -74,7 +74,7 @@ class RadioParams:
     """Radio medium. `csma`: IEEE 802.11p, each packet is simulated, with propagation in the city. `nr_mode2`: sidelink
     of NR-V2X. `lte_mode4`: sidelink of LTE-V2X. `unit_disk`: every station in range receives, except for a constant
     loss probability. Or a class of your own as path.py:Name."""
-    range_m: Annotated[float, Gt(0), Le(100_000)] = 300.0
+    range_m: Annotated[float, Gt(0), Le(32_000)] = 300.0
     """Communication range: largest horizontal distance of one hop [m]. Frames from farther away are not received. With
     `csma` they still interfere."""
     timeout_s: Annotated[float, Gt(0), Le(3600)] | None = None
