@@ -243,7 +243,9 @@ def _steps(run: Run, text: str | None, of_traffic: bool) -> Int[ndarray, "s"]:
     for a, b in _ranges(text, "--steps", "0-59"):
         keep |= (every >= a) & (every <= b)
     if not keep.any():
-        raise ValueError(f"--steps {text}: no vehicle senses then. {run.path} has the steps 0 to {every[-1]}.")
+        why = "the run is over by then" if of_traffic else "no vehicle senses then"
+        last = int(run.manifest["steps"]) - 1
+        raise ValueError(f"--steps {text}: {why}. {run.path} has the steps 0 to {last}.")
     return every[keep]
 
 

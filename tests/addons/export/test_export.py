@@ -83,6 +83,7 @@ def test_other_steps_with_the_same_ends_are_another_export(folder, vehicles, tmp
         ("kitti", {"vehicles": "../3"}, "numbers and spans"),
         ("kitti", {"vehicles": "5-3"}, "numbers and spans"),
         ("kitti", {"steps": "900-901"}, "no vehicle senses then"),
+        ("fcd", {"steps": "900-901"}, "the run is over by then"),
         ("veremi-nextgen", {}, 'holds no table receptions: it is kept at record.level = "full"'),
         ("pcap", {"sets": ["received=true"]}, 'holds no table receptions: it is kept at record.level = "full"'),
         ("pcap", {"sets": ["latitude=60"]}, "the latitude and the longitude of the origin"),
