@@ -292,6 +292,11 @@ def test_nothing_to_measure_is_one_clear_line(tiny, ask):
     assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
 
 
+def test_a_run_without_a_vehicle_has_no_lookups(tiny):
+    with pytest.raises(ValueError, match="holds no trust lookups"):
+        freshness.states(tiny(5))
+
+
 def test_where_no_vehicle_senses_no_encounter_ends_without_trust(tiny):
     met = {"vehicles": fleet("honest", "honest"), "encounters": [encounter(0, 1, 1, 3, pairs="equipped")]}
     run = tiny(5, {"sensing": False}, **met)
