@@ -133,7 +133,7 @@ def _at_vehicles(
     begins = ptr_of(asked["step"], rules.n_steps)
     for step, messages in enumerate(sent):
         own = np.arange(len(messages.evaluator))
-        got = _received(messages, messages.evaluator, own, rules)
+        got = _received(messages, messages.evaluator, own, rules, is_own=True)
         here = slice(begins[step], begins[step + 1])
         holder = asked["receiver"][here].astype(np.int64)
         sender = asked["sender"][here].astype(np.int64)
@@ -147,10 +147,14 @@ def _at_vehicles(
 
 
 def _received(
-    messages: EvaluationMessages, holder: Int[ndarray, "m"], row: Int[ndarray, "m"], rules: EvidenceRules
+    messages: EvaluationMessages,
+    holder: Int[ndarray, "m"],
+    row: Int[ndarray, "m"],
+    rules: EvidenceRules,
+    is_own: bool = False,
 ) -> list[ReceivedEvaluations]:
     """Receptions of messages, once for each step of which they evaluate detections."""
-    return [ReceivedEvaluations(of_step, holder, row, rules.eta) for of_step in messages.of_one_step()]
+    return [ReceivedEvaluations(of_step, holder, row, rules.eta, is_own) for of_step in messages.of_one_step()]
 
 
 def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:

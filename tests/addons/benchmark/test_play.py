@@ -57,6 +57,17 @@ def test_beta_equals_its_literal_twin(host):
     assert answers.age_s[known].min() == (2 if host == "central" else 0), "evidence of 2, broadcast at 3, used at 4"
 
 
+def test_vehicles_know_their_own_evaluations():
+    script = Script.of(stream("bad_mouthing", 1), RULES)
+    parts = [part for of_step in script.received for part in of_step]
+    assert any(part.is_own for part in parts)
+    for part in parts:
+        assert (part.holder == part.messages.evaluator[part.message_row]).all() == part.is_own
+    models = [candidate(name, ["host=local"], RULES) for name in ("self_first", "evaluator_trust")]
+    first, others = (play(script, model).trust for model in models)
+    assert np.nanmax(np.abs(first - others)) > 0.05, "what a vehicle sees itself counts more"
+
+
 def test_parameters_reach_the_model_and_others_are_refused():
     script = Script.of(stream("none", 1), RULES)
     slow, fast = (play(script, candidate("beta", [f"decay_per_s={x}"], RULES)).trust for x in (0.99, 0.5))
