@@ -154,7 +154,8 @@ def _received(
     is_own: bool = False,
 ) -> list[ReceivedEvaluations]:
     """Receptions of messages, once for each step of which they evaluate detections."""
-    return [ReceivedEvaluations(of_step, holder, row, rules.eta, is_own) for of_step in messages.of_one_step()]
+    parts = messages.of_one_step()
+    return [ReceivedEvaluations(part, holder, row, rules.eta, is_own) for part in parts]
 
 
 def _opened(stream: EvidenceStream, rules: EvidenceRules) -> list[tuple[int, ndarray, ndarray, ndarray, ndarray]]:

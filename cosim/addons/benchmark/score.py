@@ -2,8 +2,8 @@
 
 All figures are of look-ups by honest vehicles from the first step of the attacks on. A sender is *excluded* at a
 look-up if the value rests on an evaluation and is below the model's threshold. Models have different scales, so the
-threshold belongs to the model: it is the largest that excludes at most 5 % of the look-ups in the worlds without
-attack. A sender about whom nothing is known is not excluded.
+threshold belongs to the model: it is the largest that excludes at most 5 % of the evaluated look-ups in the worlds
+without attack. A sender about whom nothing is known is not excluded.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from results.metrics.misbehaviour import threshold_at
 from results.metrics.survival import kaplan_meier, median, median_band
 
 FALSE_POSITIVES = 0.05
-"""Largest share of look-ups that a model's threshold may exclude where nobody attacks."""
+"""Largest share of evaluated look-ups that a model's threshold may exclude where nobody attacks."""
 TRUE_DETECTIONS = ("bad_mouthing", "ballot_stuffing", "collusion", "random_evaluations", "trust_flip")
 """Attacks whose vehicles send no false detections."""
 
@@ -34,8 +34,8 @@ class Figures:
     auc: ClusteredEstimate
     """Probability that the value of an honest sender is above that of an attacker at a look-up of the same world."""
     exclusion_s: ClusteredEstimate
-    """Median time from an attacker's first message with the attack to its first exclusion by any vehicle (Kaplan-Meier,
-    with its own interval); NaN if more than half of the attackers are never excluded."""
+    """Median time from the first look-up of an attacker's pseudonym to its first exclusion by any vehicle
+    (Kaplan-Meier, with its own interval); NaN if more than half of these pseudonyms are never excluded."""
     wrong_p: ClusteredEstimate
     """Share of honest vehicle-steps that are excluded."""
     believed_p: ClusteredEstimate
@@ -43,8 +43,9 @@ class Figures:
     age_s: ClusteredEstimate
     """Mean age of the newest evaluation behind a value at look-up."""
     harm: ClusteredEstimate
-    """Mean of two shares, averaged over worlds: honest vehicle-steps that are excluded, and received messages of
-    attackers that have false detections and are believed."""
+    """Mean of two shares, averaged over worlds: honest vehicle-steps that are excluded, and received messages that
+    attackers send under an attack on detections and that are believed. Whether a message holds a lie is not recorded:
+    where no victim is near, it may not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class Counts:
     believed: float
     lies_believed: float
     messages: float
-    """Received messages of attackers: the believed ones, those of them with false detections, and all."""
+    """Received messages of attackers: the believed ones, those of them under an attack on detections, and all."""
     age_s: float
     n_aged: float
     delay_s: Float[ndarray, "a"]
@@ -77,7 +78,7 @@ def counts(
     threshold
         Trust below which a sender is excluded.
     lying
-        Whether each looked-up message has false detections if its sender attacks.
+        Whether each looked-up message is sent under an attack on detections if its sender attacks.
     """
     asked, attacks = stream.lookups, stream.attackers()
     is_late = asked["step"] >= rules.start_step
@@ -161,7 +162,7 @@ class ModelScore:
     """Checksum of a user's own file."""
     threshold: float
     quiet_p: float
-    """Share of vehicle-steps that are excluded without attack: at most 0.05 of the look-ups."""
+    """Share of vehicle-steps that are excluded without attack: at most 0.05 of the evaluated look-ups."""
     attacks: dict[str, Figures]
     """By attack, worst AUC first."""
     cost_us: float
