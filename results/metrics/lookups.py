@@ -278,7 +278,8 @@ def _all(run: Run, fresh_s: float = FRESH_S, threshold: float | None = None) -> 
 def _added(run: Run, asked: _Asked) -> _All:
     known, role_of, _ = subjects(run)
     vehicles = run.table("vehicles", ["vehicle", "last_step"])
-    left = np.zeros(int(vehicles.vehicle.to_numpy().max(initial=-1)) + 1, np.int64)
+    last = int(vehicles.vehicle.to_numpy().max(initial=-1))
+    left = np.zeros(last + 1, np.int64)
     left[vehicles.vehicle] = vehicles.last_step
     intervals_s = interval_steps(run, np.arange(len(left))) * run.dt_s
     adding = _Adding(
