@@ -196,6 +196,16 @@ def test_an_honest_evaluator_may_be_almost_certain_of_a_velocity():
     assert trust[1] > trust[0] > trust[2]
 
 
+def test_evaluations_that_left_the_window_are_not_counted():
+    model = build("dawid_skene", window_s=2.0)
+    for step in range(5):
+        open_step(model, step, {1: [1.0], 2: [1.0]})
+        given(model, step, [(2, 1, 0, 1.0, 1.0)], None)
+    scores = model.scores()
+    assert (scores.n_evaluations[0], scores.newest_evaluation_step[0], scores.oldest_evaluation_step[0]) == (2, 4, 3)
+    assert not len(model.scores(7).subject), "what has left the window has no row"
+
+
 def test_the_holders_own_evaluations_are_marked_in_the_log():
     model = build("self_first")
     open_step(model, 0, {1: [1.0, 0.5], 2: [1.0], 3: [1.0]})

@@ -62,6 +62,8 @@ class Reading:
     uncertainty: Float[ndarray, "p"] | None = None
     horizon_s: float = np.inf
     """Age from which evaluations do not count any more. A pair without a newer evaluation has no row."""
+    counted: Int[ndarray, "p 3"] | None = None
+    """Evaluations that count, newest and oldest step of them; None if all in the log do."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -148,7 +150,9 @@ class Stepwise:
         step, state = self._replay.state(self.log, self.advance)
         reading = self.read(state, now - step if step >= 0 else 0, now)
         holder, subject, row = self.log.pairs.sorted()
-        counted = with_rows(self.log.counted, len(self.log.pairs))
+        counted = reading.counted
+        if counted is None:
+            counted = with_rows(self.log.counted, len(self.log.pairs))
         n, newest, oldest = counted[row].T
         known = (n > 0) & self.is_younger(now - newest, reading.horizon_s)
         holder, subject, row = (column[known] for column in (holder, subject, row))

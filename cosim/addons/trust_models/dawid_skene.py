@@ -150,6 +150,17 @@ def trust_from(counts: Float[ndarray, "p 6"], reliable: float) -> Float[ndarray,
     return pi * np.maximum(alpha + beta - 1.0, 0.0)
 
 
+def _counted(window: Window, n_pairs: int) -> Int[ndarray, "p 3"]:
+    """Evaluations of each pair in a window, newest and oldest step of them."""
+    counted = np.zeros((n_pairs, 3), np.int64)
+    for step, answers in window:
+        n = np.bincount(answers.sender[answers.object], minlength=n_pairs)
+        counted[(n > 0) & (counted[:, 0] == 0), 2] = step
+        counted[n > 0, 1] = step
+        counted[:, 0] += n
+    return counted
+
+
 class DawidSkene(Stepwise):
     """Two-coin model of Dawid and Skene [15]_, by EM over a window of steps.
 
@@ -186,11 +197,12 @@ class DawidSkene(Stepwise):
     def read(self, state: Window, n_steps: int, now: int) -> Reading:
         """Trust from the counts of the window."""
         p, n = self.params, len(self.log.pairs)
-        counts = np.zeros((n, 6))
-        if recent := tuple(answers for _, answers in self._recent(state, now)):
-            counts = expected_counts(Answers.joined(recent), counts, p.reliable, p.n_iterations)
+        counts, recent = np.zeros((n, 6)), self._recent(state, now)
+        if recent:
+            answers = Answers.joined(tuple(of_step for _, of_step in recent))
+            counts = expected_counts(answers, counts, p.reliable, p.n_iterations)
         weight = counts[:, 4:].sum(axis=1)
-        return Reading(trust_from(counts, p.reliable), weight, None, p.window_s)
+        return Reading(trust_from(counts, p.reliable), weight, None, p.window_s, _counted(recent, n))
 
     def _recent(self, state: Window, now: int) -> Window:
         window_s = self.params.window_s
