@@ -15,6 +15,7 @@ from cosim.config.config import resolve_data
 from cosim.config.data import override
 from cosim.messages.trust_hosts import Variant
 from cosim.step.parts import check_choices, sources, variants
+from trust.params import EVIDENCE_KEYS
 from trust.tables import SERVER, EvaluationMessages, ReceivedEvaluations, TrustScores
 
 
@@ -59,7 +60,7 @@ def candidate(name: str, sets: Sequence[str], rules: EvidenceRules) -> Candidate
     check_choices(config)
     variant = variants(config)[0]
     params = getattr(variant.model, "Params", None) or type(config.trust)
-    known = {f.name for f in fields(params)} | {"host"}
+    known = {f.name for f in fields(params)} - set(EVIDENCE_KEYS) | {"host"}
     if strange := sorted(data.keys() - known):
         raise ValueError(f"--set {strange[0]}: this key has no effect on recorded evidence. Leave it out.")
     if variant.trust.host == "none":

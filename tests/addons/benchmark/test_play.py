@@ -74,6 +74,8 @@ def test_parameters_reach_the_model_and_others_are_refused():
     for wrong in ("tau=0.3", "server_period_s=2", "decay_per_s=2", "nonsense=1", "host=none"):
         with pytest.raises(ValueError, match=wrong.split("=")[0]):
             candidate("beta", [wrong], RULES)
+    with pytest.raises(ValueError, match="--set evidence: this key has no effect"):
+        candidate("belief_graph", ['evidence=["detections", "missing"]'], RULES)
 
 
 def recorded(attack):
