@@ -16,6 +16,8 @@ from cosim.addons.pictures import scene_figure, sweep_figure
 from cosim.addons.pictures.movie_figure import DPI
 from results.figures import city, study, style
 from results.figures.catalogue import FIGURES
+from tests.results import tiny
+from tests.results.test_misbehaviour import attacking
 from tests.results.test_study_pages import study_of
 
 WIDTH_CM = 8.0
@@ -102,6 +104,16 @@ def test_every_text_is_legible(run, other, name, tmp_path):
             figure = drawn(name, runs, tmp_path)
             said = mistakes(figure)
         assert not said, f"{name} of {i + 1} run(s): {said}"
+
+
+def test_beside_long_names_titles_end_on_the_page(tmp_path):
+    looked = [{"step": 4, "receiver": 2, "subject": v, "trust": 0.5, "n_evaluations": 9} for v in (0, 1)]
+    vehicles, runs = attacking(["honest", "malicious", "honest"], {1: 3}), []
+    for name in ("raya_dempster_shafer", "beta"):
+        (tmp_path / name).mkdir()
+        runs.append(tiny.make(tmp_path / name, 20, vehicles=vehicles, trust_lookups=looked))
+    with rc_context(style._STYLE):
+        assert not mistakes(FIGURES["security"](runs))
 
 
 ROOT = Path(__file__).parents[2]

@@ -43,8 +43,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
         (f"Below the threshold at {few} false positives", "Share of evaluated lookups of attackers"),
         ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
     )
+    longest = max(len(line) for label in labels for line in label.split("\n"))
     for axes, (title, x) in zip(panels, panel_titles, strict=True):
-        style.panel(axes, title, x, "")
+        style.panel(axes, style.fitted(title, 57 - longest), x, "")  # a title begins where the labels end
         axes.set_yticks(range(len(labels)), labels)
         axes.set_ylim(len(labels) - 0.4, -0.6)
         axes.set_xlim(-0.02, 1.03)
