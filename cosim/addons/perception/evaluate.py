@@ -12,7 +12,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.perception import dair, kitti_folder, opv2v
-from cosim.addons.perception.kitti import FEWEST, LEVELS, LOOSE, STRICT, average_precision
+from cosim.addons.perception.kitti import FEWEST, LEVELS, LOOSE, STRICT, LabelledObjects, average_precision
 from cosim.addons.perception.late_fusion import NMS_OVERLAP, kept
 from cosim.addons.perception.matched import precision_and_recall
 from cosim.addons.perception.opv2v import ObjectFrame
@@ -202,6 +202,8 @@ def _kitti(data: kitti_folder.KittiFolder) -> Evaluated:
         boxes.append(_take(listed_boxes, of.box[:, 3] > 0))
     _check_density(names, *boxes)
     about["remarks"] += of_boxes(*boxes)
+    about["remarks"] += _without_height(truth, "labels")
+    about["remarks"] += _without_height(found, "detections")
     for label in labels:
         n_boxes = int((found.label == label).sum())
         for overlap in dict.fromkeys((STRICT[label], LOOSE[label])):
@@ -216,6 +218,17 @@ def _kitti(data: kitti_folder.KittiFolder) -> Evaluated:
             "the objects, and with fewer even a detector without a mistake has less than 100."
         )
     return about, pd.DataFrame(rows, columns=list(_KITTI_COLUMNS))
+
+
+def _without_height(objects: LabelledObjects, words: str) -> list[str]:
+    """A remark on boxes that are nowhere in the image, as those of a detector that has no camera."""
+    height_px = objects.height_px[np.isin(objects.label, CLASSES)]
+    n = int((height_px <= 0).sum())
+    remark = (
+        f"{n:,} of {len(height_px):,} {words} have no height in the image (columns 5 to 8), so they count at level all "
+        "alone: the other levels take boxes of 25 pixels and more. Project them into the image."
+    )
+    return [remark] * (n > 0)
 
 
 def _check_density(frames: Sequence[str], truth: RecordedBoxes, found: RecordedBoxes) -> None:

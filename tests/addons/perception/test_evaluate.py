@@ -251,6 +251,16 @@ def test_a_cloud_that_cannot_be_read_is_named(tmp_path):
     assert about["remarks"] == [f"{path} says that it has 1 points, and has 200."]
 
 
+def test_detections_that_are_nowhere_in_the_image_are_said(tmp_path):
+    """A detector without a camera writes no image boxes: KITTI's levels but "all" leave its boxes out."""
+    for name, image, score in (("training/label_2", "0 0 10 60", ""), ("results", "0 0 0 0", "0.9")):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "000000.txt").write_text(f"Car 0 0 0 {image} 1.5 1.7 4 2 1.6 20 0.1 {score}\n")
+    about, table = evaluate(tmp_path)
+    assert "1 of 1 detections have no height in the image" in " ".join(about["remarks"])
+    assert set(table.level[table.ap11 > 0]) == {"all"}
+
+
 def test_options_that_go_with_another_layout(tmp_path):
     with pytest.raises(ValueError, match="goes with several agents"):
         evaluate(tmp_path, "kitti", ego="1")
