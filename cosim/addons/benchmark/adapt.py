@@ -240,6 +240,11 @@ class Search:
             Seed of the search. The same seed finds the same policy.
         """
         attacks, rules, worlds = self.attacks(), self.evidence.rules, self.worlds()
+        if COLLUSION not in rules.cases or attacks == [HONEST]:
+            raise ValueError(
+                f"--adapt: this set has the cases {', '.join(rules.cases)}. The adversary mixes {COLLUSION} with an "
+                "attack on detections. Record a set that has both."
+            )
         first = self.first(attacks)
         if budget < len(first):
             raise ValueError(f"--budget {budget}: the search begins with {len(first)} policies. Give at least that.")

@@ -393,8 +393,9 @@ def _rules(about: Any) -> EvidenceRules:
     if not all(isinstance(name, str) and name for name in cases):
         raise ValueError("cases should be names of attacks")
     are_different = len(set(cases)) == len(cases)
-    if cases[:1] != [HONEST] or not are_different or len(cases) > _MOST_NUMBERS:
-        raise ValueError(f"cases should be {HONEST!r} and up to {_MOST_NUMBERS - 1} attacks, each once")
+    has_attacks = 2 <= len(cases) <= _MOST_NUMBERS
+    if cases[:1] != [HONEST] or not are_different or not has_attacks:
+        raise ValueError(f"cases should be {HONEST!r} and 1 to {_MOST_NUMBERS - 1} attacks, each once")
     for name, (kind, least, most) in _RULES.items():
         value = about[name]
         is_number = isinstance(value, kind) and not isinstance(value, bool)

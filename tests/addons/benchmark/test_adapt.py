@@ -83,6 +83,9 @@ def test_the_search_finds_more_harm_than_it_begins_with_and_the_same_again():
     assert repr(search.run(20, seed=1)) == repr(harm[20])
     with pytest.raises(ValueError, match="--budget 4"):
         search.run(4)
+    few = replace(search.evidence, rules=replace(RULES, cases=RULES.cases[:3]))
+    with pytest.raises(ValueError, match="mixes collusion with an attack on detections"):
+        replace(search, evidence=few).run(20)
 
 
 @pytest.mark.verify

@@ -125,7 +125,7 @@ def test_reports_arrive_after_they_are_sent(tmp_path):
         {"dt_s": 0}, {"dt_s": "1"}, {"dt_s": float("nan")}, {"n_steps": 80.5}, {"n_steps": True}, {"eta": 7},
         {"start_step": -1}, {"start_step": 14}, {"freshness_s": "off"}, {"server_period_s": float("inf")},
         {"cases": ()}, {"cases": (0, 1, 2)}, {"cases": ("none", "speed", "speed")}, {"cases": ("speed", "none")},
-        {"cases": ("none", "")},
+        {"cases": ("none", "")}, {"cases": ("none",)},
     ],
 )  # fmt: skip
 def test_rules_that_cannot_be_are_refused_in_one_line(tmp_path, rules):
