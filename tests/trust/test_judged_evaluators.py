@@ -196,8 +196,9 @@ def test_an_honest_evaluator_may_be_almost_certain_of_a_velocity():
     assert trust[1] > trust[0] > trust[2]
 
 
-def test_evaluations_that_left_the_window_are_not_counted():
-    model = build("dawid_skene", window_s=2.0)
+@pytest.mark.parametrize(("name", "window"), [("dawid_skene", "window_s"), ("announcement", "validity_s")])
+def test_evaluations_that_left_the_window_are_not_counted(name, window):
+    model = build(name, **{window: 2.0})
     for step in range(5):
         open_step(model, step, {1: [1.0], 2: [1.0]})
         given(model, step, [(2, 1, 0, 1.0, 1.0)], None)

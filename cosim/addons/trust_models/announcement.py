@@ -29,7 +29,8 @@ class Ratings:
 
     sums: Int[ndarray, "edges 4"]  # per (rater, subject): number, sum of steps, of ratings, of rating x step
     newest: Int[ndarray, "pairs"]  # step of the newest rating of each subject
-    history: tuple[tuple[int, ndarray, ndarray], ...] = ()  # step, edges, ratings
+    history: tuple[tuple[int, ndarray, ndarray, ndarray], ...] = ()  # step, edges, ratings, evaluations behind each
+    has_expired: bool = False  # whether any rating has
 
     def added(self, sign: int, step: int, edge: ndarray, rating: ndarray) -> None:
         """Add the ratings of a step to the sums, or subtract them, in place.
@@ -48,6 +49,25 @@ class Ratings:
         terms = np.ones_like(rating), np.full_like(rating, step), rating, rating * step
         for column, term in zip(self.sums.T, terms, strict=True):
             np.add.at(column, edge, sign * term)
+
+    def counted(self, subject: Int[ndarray, "edges"], n_pairs: int) -> Int[ndarray, "n_pairs 3"]:
+        """Evaluations behind the ratings of each subject, newest and oldest step of them.
+
+        Parameters
+        ----------
+        subject
+            Row of each edge's subject.
+        """
+        none = np.zeros(0, np.int64)
+        parts = [(none, none, none)]
+        for step, edge, _, n in self.history:
+            parts.append((np.full(len(edge), step), subject[edge], n))
+        steps, of, made = (np.concatenate(column) for column in zip(*parts, strict=True))
+        counted = np.zeros((n_pairs, 3), np.int64)
+        np.add.at(counted[:, 0], of, made)
+        counted[of, 1] = steps  # of several values the last one stays
+        counted[of[::-1], 2] = steps[::-1]
+        return counted
 
 
 class Announcement(Stepwise):
@@ -83,7 +103,8 @@ class Announcement(Stepwise):
         new.added(1, step, edge, rating)
         newest = with_rows(state.newest, n_pairs).copy()
         newest[rows.observer[rated]] = step
-        return Ratings(new.sums, newest, (*new.history, (step, edge, rating)))
+        history = (*new.history, (step, edge, rating, rows.n[rated]))
+        return Ratings(new.sums, newest, history, new.has_expired)
 
     def read(self, state: Ratings, n_steps: int, now: int) -> Reading:
         """Mean over the raters of each one's mean rating, reduced by the age of the newest rating."""
@@ -96,20 +117,22 @@ class Announcement(Stepwise):
         weight, value = weight[row], value[row]
         has = n[row] > 0
         size = len(self.log.pairs)
+        counted = valid.counted(subject[np.argsort(row)], size) if valid.has_expired else None
         raters = np.bincount(subject[has], minlength=size)
         total = exact_sums(subject[has], value[has] / weight[has], size)
         mean = np.clip(total / np.maximum(raters, 1), 0, 1)
         newest = with_rows(state.newest, size)[:size]
         age = np.clip(1 - (now - newest) / validity, 0, 1)
-        return Reading(mean * age, raters.astype(float), None, self.params.validity_s)
+        return Reading(mean * age, raters.astype(float), None, self.params.validity_s, counted)
 
     def _valid(self, state: Ratings, now: int, n_edges: int) -> Ratings:
         """A copy without what has expired."""
         new = Ratings(with_rows(state.sums, n_edges).copy(), state.newest)
         n_old = 0
-        for step, edge, rating in state.history:
+        for step, edge, rating, _ in state.history:
             if self.is_younger(now - step, self.params.validity_s):
                 break
             new.added(-1, step, edge, rating)
             n_old += 1
-        return Ratings(new.sums, state.newest, state.history[n_old:])
+        has_expired = state.has_expired or n_old > 0
+        return Ratings(new.sums, state.newest, state.history[n_old:], has_expired)
