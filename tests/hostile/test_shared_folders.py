@@ -88,7 +88,7 @@ FUNCTIONS = {
     "cosim.studies.worker.make": None,  # the process of a sweep, with a job that the sweep has just written
     "cosim.runs.run.remarks": lambda f, at: f(at["run"]),
     "cosim.runs.run.new_remarks": lambda f, at: f(at["run"], {}),
-    "cosim.runs.run.resumable": lambda f, at: f(at["part"]),
+    "cosim.runs.run.resumable": lambda f, at: f(at["part"], False),
     "cosim.runs.run.resume": lambda f, at: f(at["part"], print),
     "cosim.addons.perception.evaluate.evaluate": lambda f, at: f(at["run"]),
     "cosim.addons.perception.evaluate.layout_of": lambda f, at: f(at["run"]),

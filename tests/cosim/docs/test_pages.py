@@ -93,7 +93,7 @@ def test_every_key_has_a_row_with_a_meaning(pages):
         names = [section] if not isinstance(values, dict) else [f"{section}.{name}" for name in values]
         for name in names if not isinstance(values, list | tuple) else ():
             assert f"`{name}" in text, name
-    assert "| `radio.range_m` | number; > 0, ≤ 100000 | `300` |" in text
+    assert "| `radio.range_m` | number; > 0, ≤ 32000 | `300` |" in text
     assert '## [[attacks]] attack = "sybil"' in text and "| `attacks.n_ghosts` |" in text
 
 
