@@ -82,12 +82,19 @@ class SentReports(NamedTuple):
     """Evaluations in each report."""
 
 
+class ReportsUnderWay(NamedTuple):
+    """Reports to the server that were sent at one time."""
+
+    arrival_s: Float[ndarray, "v"]
+    """When each arrives; infinite for those that have arrived."""
+    messages: EvaluationMessages
+
+
 @dataclass(frozen=True, slots=True)
 class UplinkState:
     """Reports that are on their way to the server."""
 
-    under_way: tuple[tuple[Float[ndarray, "v"], EvaluationMessages], ...] = ()
-    """Arrival of each message [s], and the messages."""
+    under_way: tuple[ReportsUnderWay, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,18 +196,19 @@ class Uplink:
         stats = LinkStats(n_says, n_arrives, n_lost, 0, n_refused, n_out, uplink_bytes)
         if not arrives.any():
             return state, stats
-        sent = arrival_s[arrives], chosen_messages(reports.used, arrives)
+        sent = ReportsUnderWay(arrival_s[arrives], chosen_messages(reports.used, arrives))
         return UplinkState((*state.under_way, sent)), stats
 
     def arrived(self, state: UplinkState, time_s: float) -> tuple[UplinkState, list[EvaluationMessages]]:
         """The new state, and the reports that have reached the server by `time_s`, older steps first."""
         here, later = [], []
-        for arrival, messages in state.under_way:
-            due = arrival <= time_s
+        for sent in state.under_way:
+            due = sent.arrival_s <= time_s
             if due.any():
-                here.append(chosen_messages(messages, due))
-            if not due.all():
-                later.append((arrival[~due], chosen_messages(messages, ~due)))
+                here.append(chosen_messages(sent.messages, due))
+                sent = sent._replace(arrival_s=np.where(due, np.inf, sent.arrival_s))
+            if np.isfinite(sent.arrival_s).any():
+                later.append(sent)
         return UplinkState(tuple(later)), here
 
 
@@ -219,6 +227,17 @@ class TrustBroadcast:
     """By subject of trust (`Linkage.subjects`)."""
 
 
+class BroadcastUnderWay(NamedTuple):
+    """A broadcast on its way to vehicles."""
+
+    arrival_s: Float[ndarray, "r"]
+    """When it reaches each."""
+    vehicle: Int[ndarray, "r"]
+    """Actor numbers."""
+    number: int
+    """Number of the broadcast."""
+
+
 @dataclass(frozen=True, slots=True)
 class DownlinkState:
     """The last broadcast that each vehicle received, and broadcasts that are on their way."""
@@ -230,8 +249,7 @@ class DownlinkState:
     """Number of the newest broadcast that each vehicle has received, by actor number; -1 for none."""
     seen_s: Float[ndarray, "capacity"] = field(default_factory=lambda: np.full(0, -np.inf))
     """When each vehicle was last on the road [s], by actor number."""
-    under_way: tuple[tuple[Float[ndarray, "r"], Int[ndarray, "r"], int], ...] = ()
-    """Arrival, vehicle and number."""
+    under_way: tuple[BroadcastUnderWay, ...] = ()
     pending_rsu: tuple[tuple[float, int], ...] = ()
     """Broadcasts that the roadside units have not sent: when they get each of them, and its number."""
     on_air: tuple["AiredBroadcast", ...] = ()
@@ -290,7 +308,7 @@ class Downlink:
             delay_s = np.full(len(vehicle), np.inf)  # one copy per cell exceeds the capacity of a second
         arrival_s = broadcast.time_s + delay_s
         arrives = np.isfinite(arrival_s) & ~self.params.is_out(arrival_s)
-        coming = (*state.under_way, (arrival_s[arrives], vehicle[arrives], step))
+        coming = (*state.under_way, BroadcastUnderWay(arrival_s[arrives], vehicle[arrives], step))
         return replace(state, broadcasts=broadcasts, under_way=coming), int(arrives.sum())
 
     def delays_s(self, step: int, name_key: UInt64[ndarray, "r"]) -> Float[ndarray, "r"]:
@@ -350,7 +368,7 @@ class Downlink:
             np.minimum.at(first_s, receiver[of_this], sent.begin_s + received_s[of_this])
             got = np.isfinite(first_s) & ~_informed(state, vehicle, sent.number)
             n_informed += int(got.sum())
-            coming.append((first_s[got], vehicle[got], sent.number))
+            coming.append(BroadcastUnderWay(first_s[got], vehicle[got], sent.number))
         return replace(state, under_way=tuple(coming)), n_informed
 
     def receive(self, state: DownlinkState, present: Int[ndarray, "m"], time_s: float) -> DownlinkState:
@@ -371,13 +389,14 @@ class Downlink:
         last[time_s - seen_s > KEPT_S] = -1
         seen_s[present] = time_s
         waiting = []
-        for arrival, vehicle, number in state.under_way:
-            here = arrival <= time_s
-            last[vehicle[here]] = np.maximum(last[vehicle[here]], number)
+        for sent in state.under_way:
+            here = sent.arrival_s <= time_s
+            informed = sent.vehicle[here]
+            last[informed] = np.maximum(last[informed], sent.number)
             if not here.all():
-                waiting.append((arrival[~here], vehicle[~here], number))
+                waiting.append(BroadcastUnderWay(sent.arrival_s[~here], sent.vehicle[~here], sent.number))
         in_use = set(last[last >= 0].tolist())
-        in_use.update(number for _, _, number in waiting)
+        in_use.update(sent.number for sent in waiting)
         in_use.update(number for _, number in state.pending_rsu)
         in_use.update(sent.number for sent in state.on_air)
         broadcasts = {n: b for n, b in state.broadcasts.items() if n in in_use}
@@ -423,7 +442,7 @@ def _informed(state: DownlinkState, vehicle: Int[ndarray, "r"], number: int) -> 
     known = vehicle < len(state.last)
     found = np.zeros(len(vehicle), bool)
     found[known] = state.last[vehicle[known]] >= number
-    for _, to, one in state.under_way:
-        if one >= number:
-            found |= np.isin(vehicle, to)
+    for sent in state.under_way:
+        if sent.number >= number:
+            found |= np.isin(vehicle, sent.vehicle)
     return found

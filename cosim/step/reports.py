@@ -211,6 +211,8 @@ def deliver_late(
                 continue
             row, is_there = rows_of(messages.sender, sent.sender)
             is_there &= (messages.step == carrier.step) & (messages.sender >= 0)
+            if not is_there.any():
+                continue
             links = messages.links
             got = links.vehicles.take(is_there[links.vehicles.message])
             named = parts.linkage.messages(pseudonyms, sent.messages)
