@@ -56,7 +56,9 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
         style.credit(panels[-1], text)
     label = f"Encounters begun per hour in {cell_m:g} m cells"
     bar = figure.colorbar(mesh, ax=panels, label=label, location="bottom", shrink=0.8, aspect=30)
-    digits = (1, 2, 5) if top < 200 * lowest else (1,)  # labels of more would overlap
+    digits: tuple[int, ...] = (1, 2, 5)
+    if top >= (200 if len(runs) == 1 else 20) * lowest:  # their labels would overlap; of several runs, the bar is short
+        digits = (1, 3) if top < 200 * lowest else (1,)
     ticks = []
     for exponent in range(-3, 7):
         round_rates = [digit * 10.0**exponent for digit in digits]
