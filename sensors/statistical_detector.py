@@ -77,9 +77,9 @@ class DetectorParams:
     """Position error of an object with one return, falling with the square root of the returns [m]."""
     z_share: Annotated[float, Ge(0), Le(100)] | None = None
     """Vertical position error as a share of the horizontal one: the height of the road is well known."""
-    size_sigma: NotNegative | None = None
+    size_sigma: Shares | None = None
     """Relative error of length, width and height of a dense object."""
-    size_sigma_sparse: NotNegative | None = None
+    size_sigma_sparse: Shares | None = None
     """Relative size error added at one return, falling with the square root of the returns."""
     yaw_sigma_rad: NotNegative | None = None
     """Heading error of a dense object [rad]."""
