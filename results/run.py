@@ -10,7 +10,7 @@ import shutil
 import tempfile
 import time
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
@@ -182,9 +182,9 @@ class Run:
         return tuple(found)
 
     def table(
-        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+        self, name: str, columns: Iterable[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
-        """Read a table from disk, or some of its columns and rows.
+        """Read a table from disk, or some of its columns and rows: those of all trust variants.
 
         Parameters
         ----------
@@ -198,11 +198,12 @@ class Run:
         Raises
         ------
         ValueError
-            If the run does not have the table, or the table does not have a column.
+            If the run does not have the table, if the table does not have a column, or if the condition cannot be met.
         Damaged
             If the table does not match the inventory.
         """
         wanted = self._schema_of(name, columns)
+        _check_condition(name, where)
         parts = [self._with_virtual(path, wanted.names, where) for path in self._paths(name)]
         return self._pandas(pa.concat_tables([wanted.empty_table(), *parts]), name)
 
@@ -243,35 +244,45 @@ class Run:
         return found
 
     def parts(
-        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+        self, name: str, columns: Iterable[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
         """Like `table`, but one block of steps after another, for tables larger than memory."""
         wanted = self._schema_of(name, columns)
+        _check_condition(name, where)
         for path in self._paths(name):
             yield self._pandas(self._with_virtual(path, wanted.names, where), name)
 
     def variant_table(
-        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+        self, name: str, columns: Iterable[str] | None = None, where: pc.Expression | None = None
     ) -> pd.DataFrame:
         """Like `table`, but only rows of the run's `variant`. `encounters` gets the trust columns of that variant."""
         if name == "encounters" and self.variant != BASE_VARIANT:
             return self._variant_encounters(columns, where)
         return self.table(name, columns, self._of_variant(name, where))
 
-    def _variant_encounters(self, columns: Sequence[str] | None, where: pc.Expression | None) -> pd.DataFrame:
+    def _variant_encounters(self, columns: Iterable[str] | None, where: pc.Expression | None) -> pd.DataFrame:
         """Encounters, whose columns about trust come from the table `encounter_trust`."""
-        encounters = TABLES["encounters"]
-        wanted = list(encounters.columns if columns is None else columns)
+        wanted, key = self._schema_of("encounters", columns).names, TABLES["encounters"].key
         of_trust = [c for c in TABLES["encounter_trust"].columns if c != "variant"]
-        key = [c for c in of_trust if c in encounters.key]
-        others = [c for c in wanted if c in encounters.columns and c not in of_trust]
         trust = self.table("encounter_trust", of_trust, self._of_variant("encounter_trust", None))
-        return self.table("encounters", key + others, where).merge(trust, on=key, how="left")[wanted]
+        read = wanted if where is None else TABLES["encounters"].columns  # the condition may be on any of them
+        others = [c for c in read if c not in of_trust]
+        on = [c for c in of_trust if c in key]
+        found = self.table("encounters", on + others).merge(trust, on=on, how="left")
+        if where is not None:
+            _check_condition("encounters", where)
+            numbered = found.assign(row=np.arange(len(found)))
+            rows = pa.Table.from_pandas(numbered, preserve_index=False).filter(where).column("row")
+            found = found.iloc[rows.to_numpy()].reset_index(drop=True)
+        return found[wanted]
 
     def variant_parts(
-        self, name: str, columns: Sequence[str] | None = None, where: pc.Expression | None = None
+        self, name: str, columns: Iterable[str] | None = None, where: pc.Expression | None = None
     ) -> Iterator[pd.DataFrame]:
-        """Like `parts`, but only rows of the run's `variant`."""
+        """Like `parts`, but only rows of the run's `variant`. Of another variant than `base`, `encounters` is one part,
+        because its trust columns come from another table."""
+        if name == "encounters" and self.variant != BASE_VARIANT:
+            return iter([self._variant_encounters(columns, where)])
         return self.parts(name, columns, self._of_variant(name, where))
 
     def pieces(
@@ -416,19 +427,19 @@ class Run:
             return "an earlier cosim wrote the run, which did not have this table. Run again."
         return f'it is kept at record.level = "{TABLES[name].level}" and above. Set record.level and run again.'
 
-    def _schema_of(self, name: str, columns: Sequence[str] | None) -> pa.Schema:
+    def _schema_of(self, name: str, columns: Iterable[str] | None) -> pa.Schema:
         """Names and types of the columns asked for; all if that is None. ValueError if the run does not have them."""
         self.require(name)
         known = list(TABLES[name].columns)
-        if isinstance(columns, str):
-            raise ValueError(f"columns = {columns!r} should be a list of names, such as [{columns!r}].")
-        if TABLES[name].virtual(known if columns is None else columns, None):
-            self.require("detections")
-        unknown = sorted(set(columns or ()) - set(known))
-        if unknown:
+        wanted = known if columns is None else _named(columns, known)
+        if unknown := [str(c) for c in wanted if c not in known]:
             raise ValueError(f"Table {name} has no column {', '.join(unknown)}. The columns are {', '.join(known)}.")
+        if not wanted or len(set(wanted)) < len(wanted):
+            raise ValueError(f"columns = {wanted} of table {name} should name each column once, and at least one.")
+        if TABLES[name].virtual(wanted, None):
+            self.require("detections")
         whole = schema(name, whole=True)
-        return whole if columns is None else pa.schema([whole.field(c) for c in columns])
+        return pa.schema([whole.field(c) for c in wanted])
 
     def _paths(self, name: str) -> list[Path]:
         """The parts of a table. Raises Damaged if they differ from the inventory."""
@@ -558,6 +569,32 @@ class Run:
     def role_labels(self) -> tuple[str, ...]:
         """Labels of the roles of this run, in the order of their codes."""
         return TABLES["vehicles"].columns["role"].labels(self.manifest)
+
+
+def _named(columns: Iterable[str], known: Sequence[str]) -> list[str]:
+    """The names of columns that were asked for. ValueError if they are no list of names."""
+    if isinstance(columns, str) or not isinstance(columns, Iterable):
+        example = columns if isinstance(columns, str) else known[0]
+        raise ValueError(f"columns = {columns!r} should be a list of names, such as [{example!r}].")
+    return list(columns)
+
+
+def _check_condition(name: str, where: pc.Expression | None) -> None:
+    """Raise ValueError for a condition that rows of a table can neither meet nor fail."""
+    if where is None:
+        return
+    why = f"it is a {type(where).__name__}"
+    try:
+        if isinstance(where, pc.Expression):
+            schema(name, whole=True).empty_table().filter(where)
+            return
+    except pa.ArrowException as error:
+        why = str(error).splitlines()[0].partition(" in ")[0]
+    known = list(TABLES[name].columns)
+    raise ValueError(
+        f"where is no condition on rows of table {name} ({why}). Write it as pyarrow.compute.field({known[0]!r}) > 3. "
+        f"The columns are {', '.join(known)}."
+    )
 
 
 def problems_of(folder: Path, table: str, found: Inventory, has_ended: bool, is_live: bool) -> Iterator[str]:

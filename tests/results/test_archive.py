@@ -6,6 +6,7 @@ import pandas as pd
 import pyarrow.compute as pc
 import pytest
 
+from cosim.base.durable import Damaged
 from results.archive import open_run
 from results.manifest import read_manifest, write_manifest
 from results.measure import measure
@@ -109,8 +110,25 @@ def test_missing_tables_and_columns(broken):
         run.table("trust", ["trst"])
     with pytest.raises(ValueError, match=r"columns = 'trust' should be a list of names, such as \['trust'\]"):
         run.table("trust", "trust")
+    with pytest.raises(ValueError, match=r"columns = \['step', 'step'\] of table trust should name each column once"):
+        run.table("trust", ["step", "step"])
+    with pytest.raises(ValueError, match=r"columns = 3 should be a list of names, such as \['step'\]"):
+        run.table("trust", 3)
     with pytest.raises(AttributeError):
         run.delivery.head()
+
+
+def test_names_of_columns_may_come_from_a_generator(run):
+    """It was read twice, and the table came without a row."""
+    names = ["trust", "step"]
+    pd.testing.assert_frame_equal(run.table("trust", (name for name in names)), run.trust[names])
+
+
+@pytest.mark.parametrize("where", [pc.field("trst") > 0.5, pc.field("trust") > "high", "trust > 0.5"])
+def test_a_condition_that_cannot_be_met_is_no_damage(run, where):
+    with pytest.raises(ValueError, match="where is no condition on rows of table trust") as caught:
+        run.table("trust", ["trust"], where)
+    assert not isinstance(caught.value, Damaged) and not run.damage
 
 
 @pytest.mark.parametrize("harm", ["truncated", "overwritten"])

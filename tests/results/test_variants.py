@@ -33,6 +33,11 @@ def run(tmp_path):
                 record.append("trust", step, columns("trust", rows) | named)
         record.append("pseudonyms", 5, columns("pseudonyms", pseudonyms))
         record.append("vehicles", 5, columns("vehicles", vehicles))
+        met = {"a": 0, "b": 1, "start_step": 1, "trust_ab": 0.75}
+        record.append("encounters", 5, columns("encounters", [met]))
+        record.append(
+            "encounter_trust", 5, columns("encounter_trust", [met | {"trust_ab": 0.25}]) | {"variant": np.ones(1, int)}
+        )
         sensed = {"observer": 4, "detection_index": 1, "truth_actor": 1, "transmitted": True}
         record.append("detections", 5, columns("detections", [sensed]) | {"step": np.array([5])})
         believed = [{"observer": 0, "source": 4, "source_index": 1, "score": 0.5 + code / 4} for code in (0, 1)]
@@ -73,6 +78,16 @@ def test_columns_that_are_not_on_disk_can_choose_rows_of_one_variant(run):
     for name, score in zip(VARIANTS, (0.5, 0.75), strict=True):
         frame = run.as_variant(name).variant_table("fused", ["score"], pc.field("truth_actor") == 1)
         assert frame.score.tolist() == [score]
+
+
+def test_encounters_have_the_trust_of_the_variant_however_they_are_read(run):
+    """A condition chose by the trust of `base`, and parts had its columns."""
+    for name, trust in zip(VARIANTS, (0.75, 0.25), strict=True):
+        of_variant = run.as_variant(name)
+        frames = of_variant.variant_table("encounters"), *of_variant.variant_parts("encounters", ["trust_ab"])
+        assert [frame.trust_ab.tolist() for frame in frames] == [[trust]] * 2
+        is_low = pc.field("trust_ab") < 0.5
+        assert len(of_variant.variant_table("encounters", ["b"], is_low)) == (trust < 0.5)
 
 
 def test_attackers_of_an_own_role_are_classified(run):
