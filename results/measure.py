@@ -280,7 +280,8 @@ def _asked(function: Callable[..., Any], run: Run, *args: Any, **options: Any) -
         if known and isinstance(value, str) and value not in known:
             raise ValueError(f"{name} = {value!r}: there is no such choice. There are {', '.join(known)}.")
         _check_bounds(name, value)
-    return function(run, *args, **options)
+    found = function(run, *args, **options)
+    return found.copy(deep=False) if isinstance(found, pd.DataFrame | pd.Series) else found  # the run may keep it
 
 
 def _choices(annotation: Any) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ table with the inventory, `_check` verifies the checksum of a part, `results.par
 `_in_bounds` refuses numbers that no run writes. Metrics read large tables block after block (`parts`, `pieces`).
 """
 
+import copy
 import shutil
 import tempfile
 import time
@@ -63,8 +64,9 @@ class HeldParts:
 class Run:
     """A run on disk.
 
-    Every table of the dictionary is an attribute (`run.trust`, `run.encounters`); columns are as in
-    `results/TABLES.md`, nulls are pandas' NA, rows are sorted by key within a step.
+    Every table of the dictionary is an attribute (`run.trust`, `run.encounters`) with the rows of all trust variants;
+    columns are as in `results/TABLES.md`, nulls are pandas' NA, rows are sorted by key within a step. A table is kept
+    once it was read. Each use gives a frame of its own: what you change in it, neither metrics nor later uses see.
     """
 
     def __init__(self, path: Path, manifest: dict[str, Any], variant: str = BASE_VARIANT) -> None:
@@ -119,7 +121,10 @@ class Run:
         return tuple(self.manifest.get("variants", (BASE_VARIANT,)))
 
     def as_variant(self, name: str) -> Self:
-        """This run, with metrics and figures of one of its trust variants.
+        """This run, with metrics and figures of one of its trust variants, and its rows in `variant_table`.
+
+        `table`, attributes such as `run.trust`, and `sql` go on to give the rows of all variants, and `run.encounters`
+        the trust of `base`.
 
         Raises
         ------
@@ -158,8 +163,8 @@ class Run:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The resolved configuration, with the section [trust] of the run's `variant`."""
-        config = self.manifest["config"]
+        """A copy of the resolved configuration, with the section [trust] of the run's `variant`."""
+        config = copy.deepcopy(self.manifest["config"])
         if self.variant == BASE_VARIANT:
             return config
         (mine,) = (v for v in config["trust_variant"] if v["name"] == self.variant)
@@ -537,16 +542,20 @@ class Run:
     def __getattr__(self, name: str) -> pd.DataFrame:
         if name not in TABLES:
             raise AttributeError(f"A run has no {name!r}. The tables are {', '.join(TABLES)}.")
-        return self.once_for_all(name, lambda: self.table(name))
+        return self.once_for_all(name, lambda: self.table(name)).copy(deep=False)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.tables]
 
     def __repr__(self) -> str:
         steps, tables = self.manifest["steps"], ", ".join(self.tables)
-        return f"Run({str(self.path)!r}: {steps} steps, tables {tables})"
+        variant = "" if self.variant == BASE_VARIANT else f", variant {self.variant}"
+        return f"Run({str(self.path)!r}{variant}: {steps} steps, tables {tables})"
 
     @property
     def roles(self) -> pd.Series:
         """Role by actor number, equipped vehicles only."""
-        return self.once_for_all("roles of vehicles", self._roles)
+        return self.once_for_all("roles of vehicles", self._roles).copy(deep=False)
 
     def _roles(self) -> pd.Series:
         vehicles = self.table("vehicles", ["vehicle", "equipped", "role"])
@@ -558,7 +567,7 @@ class Run:
 
         Only this table joins pseudonyms, which trust knows, with true identities.
         """
-        return self.once_for_all("roles of pseudonyms", self._subjects)
+        return self.once_for_all("roles of pseudonyms", self._subjects).copy(deep=False)
 
     def _subjects(self) -> pd.DataFrame:
         vehicles = self.table("vehicles", ["vehicle", "role", "attack_start_step"]).set_index("vehicle")

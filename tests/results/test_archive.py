@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pandas as pd
 import pyarrow.compute as pc
 import pytest
@@ -49,7 +50,7 @@ def test_columns_rows_and_parts_on_demand(run):
     late = run.table("trust", where=pc.field("step") >= 200)
     assert late.step.min() >= 200 and len(late) == (run.trust.step >= 200).sum()
     assert sum(len(part) for part in run.parts("trust_lookups", ["age_s"])) == len(run.trust_lookups)
-    assert run.trust is run.trust  # loaded once
+    assert np.shares_memory(run.trust.step.to_numpy(), run.trust.step.to_numpy())  # loaded once
 
 
 def test_roles(run):
@@ -116,6 +117,21 @@ def test_missing_tables_and_columns(broken):
         run.table("trust", 3)
     with pytest.raises(AttributeError):
         run.delivery.head()
+
+
+def test_what_a_user_changes_in_a_frame_changes_no_metric(broken):
+    """Frames were those that metrics read from."""
+    run = open_run(broken)
+    before = run.measure(topics=["traffic", "trust"])
+    subjects, vehicles, values = run.subjects, run.vehicles, run.measure.trust.server_values()
+    subjects["role"], vehicles["equipped"], values["trust"] = "malicious", False, 0.0
+    run.config["trust"]["suspect_below"] = 0.9
+    pd.testing.assert_frame_equal(run.measure(topics=["traffic", "trust"]), before)
+    assert run.vehicles.equipped.any()
+
+
+def test_a_run_lists_its_tables_for_completion(run):
+    assert {"trust", "encounters", "measure"} <= set(dir(run))
 
 
 def test_names_of_columns_may_come_from_a_generator(run):

@@ -59,6 +59,7 @@ def test_metrics_are_of_one_variant(run):
     """Last values while in use: 4 has 0.6, 7 has 0.4, 9 has 0.5; in the variant half of them."""
     assert run.variants == VARIANTS and len(run.trust) == 10
     for name, factor in zip(VARIANTS, (1, 0.5), strict=True):
+        assert ("variant short_window" in repr(run.as_variant(name))) == (name != "base")
         final = run.as_variant(name).measure.trust.final().set_index("role")["mean"]
         assert final.to_dict() == pytest.approx({"honest": 0.6 * factor, "ghost": 0.45 * factor})
     assert run.measure.value("trust.final.mean", "ghost") == pytest.approx(0.45)
