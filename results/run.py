@@ -85,6 +85,10 @@ class Run:
         self._own: dict[str, Any] = {}
         """Results of this trust variant, once computed."""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process is given: all but the results, among them the connection to DuckDB."""
+        return self.__dict__ | {"_common": {}, "_own": {}}
+
     @cached_property
     def inventory(self) -> Inventory:
         """What the run folder should contain."""

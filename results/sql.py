@@ -2,11 +2,13 @@
 
 import re
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import duckdb
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -46,13 +48,18 @@ class Database:
         folders."""
         self._tables, self._files, self._require = tables, files, require
         self._connection = duckdb.connect(config=_CONFIG)
+        self._lock = threading.Lock()  # a connection answers one thread at a time, and views are replaced
         allowed = _listed([*map(str, folders), *map(_itself, folders)])
         self._connection.execute(f"SET allowed_directories = {allowed}")
         self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
 
     def answer(self, query: str, values: Mapping[str, Any], steps: Steps | None = None) -> pd.DataFrame:
         """As `Run.sql`, with these values of all names; as `Run.sql_of_steps` if there are steps."""
-        words = set(re.findall(r"\w+", query))
+        with self._lock:
+            return self._answer(query, values, steps)
+
+    def _answer(self, query: str, values: Mapping[str, Any], steps: Steps | None) -> pd.DataFrame:
+        words = set(re.findall(r"\w+", query.lower()))  # SQL does not tell FROM Trust from FROM trust
         asked = [name for name in TABLES if name in words]
         try:
             if [one.type for one in self._connection.extract_statements(query)] != [duckdb.StatementType.SELECT]:
@@ -63,7 +70,7 @@ class Database:
             if "subjects" in words:
                 self._connection.execute(f"CREATE OR REPLACE TEMP VIEW subjects AS {_SUBJECTS}")
             wanted = re.findall(r"\$(\w+)", query)
-            named = {name: value for name, value in values.items() if name in wanted}
+            named = {name: _plain(value) for name, value in values.items() if name in wanted}
             return self._connection.execute(query, named or None).df()
         except duckdb.CatalogException as error:
             self._require(*asked)
@@ -84,14 +91,15 @@ class Database:
         files
             Part files of the detections of the steps in question.
         """
-        self._connection.register("rows", rows)
         made = f"({_stored('detections', files)})"
-        found = self._connection.sql(f"""
+        query = f"""
             SELECT {", ".join(map(_virtual, names))} FROM (SELECT *, row_number() OVER () AS number FROM rows) t
             {_SOURCES.replace("detections", made)} ORDER BY number
-        """)
+        """
         try:
-            return found.to_arrow_table()
+            with self._lock:
+                self._connection.register("rows", rows)
+                return self._connection.sql(query).to_arrow_table()
         except duckdb.Error as error:
             raise _refusal(error) from None
 
@@ -104,10 +112,15 @@ class Database:
             return
         table, stored = TABLES[name], _stored(name, files)
         is_all = re.search(r"(?<!\()\*", query) is not None  # a star, but not that of count(*)
-        if virtual := table.virtual(list(table.columns) if is_all else (), query):
+        if virtual := table.virtual(list(table.columns) if is_all else (), query.lower()):
             self._show("detections", "", None)
             stored = f"SELECT t.*, {', '.join(map(_virtual, virtual))} FROM ({stored}) t {_SOURCES}"
         self._connection.execute(f"CREATE OR REPLACE TEMP VIEW {name} AS {stored}")
+
+
+def _plain(value: Any) -> Any:
+    """A value as DuckDB takes it, which knows no numbers of NumPy."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 _DAMAGE = "holds an infinite number: the table is damaged. Run again."

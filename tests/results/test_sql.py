@@ -1,7 +1,10 @@
 """Questions in SQL: the same tables as `run.table`, and one line for a wrong question."""
 
+import pickle
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -37,7 +40,7 @@ def test_values_and_subjects_by_hand(tiny):
     found = run.sql("""
         SELECT role, max(step) * $dt_s AS time_s, avg(trust) AS trust FROM trust JOIN subjects ON pseudonym = subject
         WHERE variant = $variant AND step < $until GROUP BY role ORDER BY role
-    """, until=5)  # fmt: skip
+    """, until=np.int64(5))  # fmt: skip
     assert found.role.tolist() == ["honest", "malicious"] and found.trust.tolist() == [0.25, 0.5]
     assert found.time_s.tolist() == [4 * run.dt_s] * 2
 
@@ -49,8 +52,17 @@ def test_of_some_steps_only_their_blocks_are_read(tiny):
     found = run.sql_of_steps(query, 12, 20)
     assert found.step.tolist() == [10, 15, 20, 25]
     assert found[["first", "last", "n"]].drop_duplicates().values.tolist() == [[12, 20, 1]]
-    assert run.sql("SELECT count(*) AS n FROM trust").n.item() == 8
+    assert run.sql("SELECT count(*) AS n FROM TRUST").n.item() == 8  # 4 by the view of the question before
     assert run.sql_of_steps("SELECT * FROM trust", 40, 50).empty
+
+
+def test_threads_share_a_run_and_processes_get_a_copy(tiny):
+    run = tiny(20, vehicles=fleet("honest"), trust=[{"step": step, "trust": 0.5} for step in range(20)])
+    query = "SELECT $who AS who, count(*) AS n FROM trust, generate_series(20000)"
+    with ThreadPoolExecutor(3) as threads:
+        found = threads.map(lambda who: run.sql(query, who=who), range(6))
+    assert [tuple(frame.iloc[0]) for frame in found] == [(who, 20 * 20001) for who in range(6)]
+    assert pickle.loads(pickle.dumps(run)).sql(query, who=0).n.item() == 20 * 20001
 
 
 @pytest.mark.parametrize(
