@@ -7,6 +7,7 @@ table with the inventory, `_check` verifies the checksum of a part, `results.par
 """
 
 import copy
+import os
 import shutil
 import tempfile
 import time
@@ -71,6 +72,8 @@ class Run:
 
     def __init__(self, path: Path, manifest: dict[str, Any], variant: str = BASE_VARIANT) -> None:
         self.path = path
+        """The run folder, as it was named. It is read where it was, even if the working directory changes."""
+        self._folder = Path(os.path.abspath(path))
         self.manifest = manifest
         self.variant = variant
         """Trust variant that metrics and figures use. The tables as attributes have the rows of all variants."""
@@ -92,12 +95,12 @@ class Run:
     @cached_property
     def inventory(self) -> Inventory:
         """What the run folder should contain."""
-        return inventory.read(self.path)
+        return inventory.read(self._folder)
 
     @property
     def status(self) -> str:
         """Status when the run was opened, see `results.manifest.status_of`."""
-        return "running" if self._held is not None else status_of(self.path, self.manifest)
+        return "running" if self._held is not None else status_of(self._folder, self.manifest)
 
     def hold_open_parts(self) -> None:
         """Keep the run as it is now, even if another process goes on writing it.
@@ -106,11 +109,11 @@ class Run:
         copied.
         """
         for _ in range(_ATTEMPTS):
-            held, found = HeldParts(), inventory.read(self.path).whole()
+            held, found = HeldParts(), inventory.read(self._folder).whole()
             try:
                 for part in found.blocks[-1].open if found.blocks else ():
                     (held.path / part.table).mkdir(exist_ok=True)
-                    shutil.copyfile(self.path / part.name, held.path / part.name)
+                    shutil.copyfile(self._folder / part.name, held.path / part.name)
             except FileNotFoundError:  # two blocks were written meanwhile
                 time.sleep(_PAUSE_S)
                 continue
@@ -138,6 +141,7 @@ class Run:
         if name not in self.variants:
             raise ValueError(f"{self.path} has no trust variant {name!r}. It has {', '.join(self.variants)}.")
         other = type(self)(self.path, self.manifest, name)
+        other._folder = self._folder
         other.damage, other._sound = self.damage, self._sound
         other._common = self._common
         other._held = self._held
@@ -158,7 +162,8 @@ class Run:
 
     @property
     def name(self) -> str:
-        return self.path.name
+        """Name of the run folder."""
+        return self._folder.name
 
     @property
     def dt_s(self) -> float:
@@ -185,7 +190,7 @@ class Run:
         dropped = self.manifest.get("dropped", ())
         found = []
         for name in TABLES:
-            has_files = (self.path / name).is_dir() or self.inventory.of(name)
+            has_files = (self._folder / name).is_dir() or self.inventory.of(name)
             if (has_files or name in recorded) and name not in dropped:
                 found.append(name)
         return tuple(found)
@@ -386,7 +391,7 @@ class Run:
 
     def _folders(self) -> list[Path]:
         """Folders of the part files."""
-        folders = [self.path] if self._held is None else [self.path, self._held.path]
+        folders = [self._folder] if self._held is None else [self._folder, self._held.path]
         return [folder.resolve() for folder in folders]
 
     def _of_variant(self, name: str, where: pc.Expression | None) -> pc.Expression | None:
@@ -458,12 +463,12 @@ class Run:
         held = self._held
         in_run = self.inventory if held is None else self.inventory.closed()  # without the parts that were copied
         has_ended = self.manifest["status"] in ENDED
-        if problem := next(problems_of(self.path, name, in_run, has_ended, held is not None), None):
+        if problem := next(problems_of(self._folder, name, in_run, has_ended, held is not None), None):
             self._found_damaged(problem)
         copied = self.inventory.parts[len(in_run.parts) :]  # open parts come last
         paths = []
         for part in self.inventory.of(name):
-            folder = held.path if held is not None and part in copied else self.path
+            folder = held.path if held is not None and part in copied else self._folder
             paths.append(folder / part.name)
         return paths
 

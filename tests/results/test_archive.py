@@ -53,6 +53,15 @@ def test_columns_rows_and_parts_on_demand(run):
     assert np.shares_memory(run.trust.step.to_numpy(), run.trust.step.to_numpy())  # loaded once
 
 
+def test_another_working_directory_is_no_damage(broken, monkeypatch):
+    """Tables are read when they are used; a program that changed its directory was told that its run is damaged."""
+    monkeypatch.chdir(broken)
+    run = open_run(".")
+    monkeypatch.chdir(broken.parent)
+    assert len(run.as_variant("base").trust) == run.sql("SELECT count(*) AS n FROM trust").n.item()
+    assert run.name == "broken" and run.status == "finished"
+
+
 def test_roles(run):
     assert run.roles.value_counts().to_dict() == {"honest": 23, "malicious": 4, "unreliable": 3}
     said = repr(run).replace(str(run.path), "")
