@@ -7,7 +7,6 @@ with Simulation({"traffic": {"duration_s": 20}}) as simulation:
         print(result.time_s, len(result.world), len(result.detections))
 """
 
-import copy
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -37,6 +36,7 @@ from cosim.traffic.scenario import Scenario, find
 from cosim.traffic.source import TrafficEnded, TrafficSource
 from cosim.world import World
 from results.archive import OpenRun, open_run
+from results.columns import WHOLE, Column
 from results.tables import TABLES
 from sensors.boxes import Boxes
 from sensors.lidar import RangeImages
@@ -74,8 +74,9 @@ def run(config: AnyConfig = None, out: str | Path | None = None, **parts: type |
 class Simulation:
     """A simulation in memory. Iterate over it to get the result of every step. It writes no files.
 
-    Use it as a context manager, which ends SUMO. Simulations may exist beside each other, because each has SUMO in a
-    process of its own; the same config always has the same traffic.
+    Use it as a context manager, which ends SUMO. It can be iterated over once; entering it again begins with step 0.
+    Simulations may exist beside each other, because each has SUMO in a process of its own; the same config always has
+    the same traffic.
 
     Parameters
     ----------
@@ -112,6 +113,7 @@ class Simulation:
         self._parts, _, self._traffic = running.load_parts(self.config, self._scenario)
         self._state = State.start(self._parts)
         self._variants = tuple(variant.name for variant in self._parts.trust.variants)
+        self._n_steps = 0
         try:
             warmup_s = running.warmup_of(self.config, self._scenario)
             warm_up(warmup_s, self._traffic, self._parts.watch, lambda *_: None)
@@ -201,10 +203,12 @@ class SimulatedStep:
         Raises
         ------
         ValueError
-            If the vehicle has no sweep in this step.
+            If the vehicle has no sweep in this step, or if there is no such frame.
         RuntimeError
             If the next step has begun.
         """
+        if frame not in ("world", "sensor"):
+            raise ValueError(f"frame = {frame!r}: there is no such choice. There are world, sensor.")
         if self._simulation.n_steps != self._number:
             raise RuntimeError(f"the clouds of step {self.step} are gone: ask for them before the next step begins")
         sensed = self.result.sensed
@@ -234,9 +238,7 @@ class SimulatedStep:
         if "step" not in TABLES[name].columns:
             raise ValueError(f"a step has no table {name!r}: it is of a whole run. Write one with cosim.run(...).")
         parts = [self._frame(name, columns) for columns in self._columns.of_table.get(name, [])]
-        if not parts:
-            return pd.DataFrame(columns=list(TABLES[name].stored))
-        return pd.concat(parts, ignore_index=True)
+        return pd.concat(parts, ignore_index=True) if parts else self._empty(TABLES[name].stored)
 
     @property
     def detections(self) -> pd.DataFrame:
@@ -266,9 +268,9 @@ class SimulatedStep:
     @property
     def fused(self) -> pd.DataFrame:
         """Fused objects of each vehicle with their boxes: table `fused`."""
-        frame = self.table("fused")
         if (sensed := self.result.sensed) is None:
-            return frame.reindex(columns=list(TABLES["fused"].columns))
+            return self._empty(TABLES["fused"].columns)
+        frame = self.table("fused")
         known, by, moved = sensed.known, sensed.known.detections.message, frame.pose.notna()
         columns = recording.detection_columns(self.result.world, known, known.pseudonym[by])
         detections = self._frame("detections", columns)
@@ -291,6 +293,18 @@ class SimulatedStep:
         for name, values in recording.box_columns(Boxes.concat(boxes)).items():
             frame[name] = values
         return frame[list(TABLES["fused"].columns)]
+
+    def _empty(self, columns: Mapping[str, Column]) -> pd.DataFrame:
+        """No rows, in the types that rows of other steps have: `pd.concat` of steps keeps these types."""
+        made = {}
+        for name, column in columns.items():
+            categories = pd.CategoricalDtype(pd.Index(column.labels(self._labels)))
+            whole, flag = ("Int64", "boolean") if column.null else ("int64", "bool")
+            dtypes: dict[str, Any] = {"bool": flag, "category": categories, "string": "str"} | dict.fromkeys(
+                WHOLE, whole
+            )
+            made[name] = pd.Series(dtype=dtypes.get(column.type, "float64"))
+        return pd.DataFrame(made)
 
     def _frame(self, table: str, columns: Mapping[str, ndarray | None]) -> pd.DataFrame:
         """Columns as a table, with labels instead of codes and nulls for absent values."""
@@ -335,13 +349,38 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
         changes = []
         for section, name in named.items():
             changes.append(f"{section}.{SECTIONS[section].key}={name}")
-        return load(None if config is None else Path(config), changes)
+        return load(None if config is None else _file(config), changes)
     if isinstance(config, Config) and not named:
         return config
-    data = config.to_dict() if isinstance(config, Config) else with_defaults(copy.deepcopy(dict(config)))
+    if not isinstance(config, Config | Mapping):
+        raise ValueError(f"the config is a {type(config).__name__}. {_KINDS}")
+    data = config.to_dict() if isinstance(config, Config) else with_defaults(_plain(config))
     for section, name in named.items():
         data.setdefault(section, {})[SECTIONS[section].key] = name
     return resolve_data(data, "the config", None)
+
+
+_KINDS = "Give a dictionary, the path of a TOML file, `run.config` of a run, or nothing for the default city."
+
+
+def _file(config: str | Path) -> Path:
+    """The path of a config file. ValueError if it is text or a folder."""
+    if "\n" in str(config):
+        raise ValueError("the config is a text of several lines: `tomllib.loads(text)` makes a dictionary of it.")
+    if Path(config).is_dir():
+        raise ValueError(f"{config} is a folder. {_KINDS}")
+    return Path(config)
+
+
+def _plain(value: Any) -> Any:
+    """A copy of a value of a dictionary as a TOML file would hold it: no tuples, no paths, no numbers of NumPy."""
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple | ndarray):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _warn(config: Config, scenario: Scenario) -> None:

@@ -87,12 +87,20 @@ def test_a_class_in_place_of_a_part_and_clouds_of_the_past():
         first = next(simulation)
         second = next(simulation)
         assert second.trust.trust.max() <= 0.5 and len(second.trust)
+        with pytest.raises(ValueError, match="frame = 'sensr': there is no such choice"):
+            second.cloud(second.vehicles[0], "sensr")
         with pytest.raises(RuntimeError, match="clouds of step 0 are gone"):
             first.cloud(first.vehicles[0])
         with pytest.raises(ValueError, match="vehicle 999999 has no sweep"):
             second.cloud(999999)
         with pytest.raises(StopIteration):
             next(simulation)
+    assert first.trust.empty and len(second.trust)
+    for name in ("trust", "fused", "detections", "trust_lookups"):
+        both = pd.concat([getattr(first, name), getattr(second, name)])
+        assert object not in set(both.dtypes), name
+    with simulation:
+        assert len(list(simulation)) == 2  # all steps once more
 
 
 @pytest.mark.parametrize(("parts", "message"), [
@@ -102,6 +110,25 @@ def test_a_class_in_place_of_a_part_and_clouds_of_the_past():
 def test_mistakes(parts, message):
     with pytest.raises(ValueError, match=message):
         Simulation(None, **parts)
+
+
+@pytest.mark.parametrize(("config", "message"), [
+    ([3], "the config is a list. Give a dictionary"),
+    ("seed = 3\n[traffic]\nduration_s = 5", "text of several lines: `tomllib.loads"),
+    (".", r"\. is a folder. Give a dictionary"),
+])  # fmt: skip
+def test_what_is_no_config(config, message):
+    with pytest.raises(ValueError, match=message):
+        Simulation(config)
+
+
+def test_a_dictionary_may_hold_numbers_of_numpy_tuples_and_paths():
+    """seed = numpy.int64(7) was refused as '7', which should be a valid integer."""
+    attacks = ({"attack": "ghost_insertion", "share_p": np.float32(0.25)},)
+    given = {"seed": np.int64(7), "traffic": {"duration_s": np.arange(2, 4)[0]}, "attacks": attacks}
+    config = Simulation(given).config
+    assert (config.seed, config.traffic.duration_s, config.attacks[0].share_p) == (7, 2, 0.25)
+    assert given["attacks"] is attacks
 
 
 def test_keys_without_effect_are_named(caplog):
