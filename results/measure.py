@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import wraps
 from inspect import isfunction, signature
 from itertools import groupby
+from numbers import Real
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args, get_origin
 
@@ -48,6 +49,9 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     "max_frames": (1.0, math.inf),
     "every_s": (1e-3, math.inf),
     "cell_m": (1e-3, math.inf),
+    "range_m": (1e-3, math.inf),
+    "min_score": (0.0, 1.0),
+    "n_thresholds": (2, math.inf),
 }
 """Smallest and largest value of options that are numbers."""
 
@@ -73,7 +77,7 @@ def measure(
     fresh_s: float = 10.0,
     false_positives: float = 0.05,
     max_frames: int = 4000,
-    topics: tuple[str, ...] = tuple(registry.TOPICS),
+    topics: Sequence[str] = tuple(registry.TOPICS),
 ) -> pd.DataFrame:
     """Every metric that the run's record level allows, for the run's `variant`.
 
@@ -113,7 +117,7 @@ def measure(
     for name, value in options.items():
         _check_bounds(name, value)
     rows: list[MeasuredRow] = []
-    for topic in topics:
+    for topic in [topics] if isinstance(topics, str) else topics:
         if topic not in registry.TOPICS:
             raise ValueError(f"There is no topic {topic!r}. The topics are {', '.join(registry.TOPICS)}.")
         rows += _measured(run, topic, options)
@@ -217,11 +221,15 @@ class Measures:
     def value(self, metric: str, group: str = "", **options: Any) -> float:
         """One metric: `run.measure.value("trust.final.median", "malicious")`; NaN if it is not defined.
 
+        The group may also be part of the name, as studies write it: `"trust.final.median:malicious"`.
+
         Raises
         ------
         ValueError
             If there is no such metric, or if it has other groups. A role without a vehicle is a group without a value.
         """
+        metric, _, of = metric.partition(":")
+        group = group or of
         if metric not in METRICS:
             raise ValueError(f"There is no metric {metric!r}. `cosim measure --explain` lists them.")
         found = measure(self._run, topics=(metric.split(".")[0],), **options)
@@ -253,7 +261,16 @@ class Topic:
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in dir(self):
             raise AttributeError(f"{self._topic} has no {name!r}. It has {', '.join(dir(self))}.")
-        return partial(_asked, getattr(TOPICS[self._topic], name), self._run)
+        function = getattr(TOPICS[self._topic], name)
+
+        @wraps(function)  # so help() shows what it says
+        def ask(*args: Any, **options: Any) -> Any:
+            return _asked(function, self._run, *args, **options)
+
+        whole = signature(function)
+        _run, *others = whole.parameters.values()
+        ask.__signature__ = whole.replace(parameters=others)  # type: ignore[attr-defined]
+        return ask
 
     def __dir__(self) -> list[str]:
         module = TOPICS[self._topic]
@@ -276,9 +293,14 @@ def _asked(function: Callable[..., Any], run: Run, *args: Any, **options: Any) -
     """What a function of a topic returns. A misspelt choice would count as any other one, so it is refused here."""
     asked = signature(function).bind(run, *args, **options).arguments
     for name, value in asked.items():
-        known = _choices(signature(function).parameters[name].annotation)
-        if known and isinstance(value, str) and value not in known:
-            raise ValueError(f"{name} = {value!r}: there is no such choice. There are {', '.join(known)}.")
+        annotation = signature(function).parameters[name].annotation
+        known = _choices(annotation)
+        is_list = get_origin(annotation) is tuple
+        if is_list and isinstance(value, str):
+            raise ValueError(f"{name} = {value!r} should be a list of names, such as [{value!r}].")
+        for one in value if is_list else [value]:
+            if known and isinstance(one, str) and one not in known:
+                raise ValueError(f"{name} = {one!r}: there is no such choice. There are {', '.join(known)}.")
         _check_bounds(name, value)
     found = function(run, *args, **options)
     return found.copy(deep=False) if isinstance(found, pd.DataFrame | pd.Series) else found  # the run may keep it
@@ -293,6 +315,10 @@ def _choices(annotation: Any) -> tuple[str, ...]:
 
 def _check_bounds(name: str, value: Any) -> None:
     """Raise ValueError for an option that is a number out of bounds."""
-    low, high = _BOUNDS.get(name, (-math.inf, math.inf))
-    if isinstance(value, int | float) and not low <= value <= high:
+    if name not in _BOUNDS or value is None:
+        return
+    low, high = _BOUNDS[name]
+    if not isinstance(value, Real) or isinstance(value, bool):  # numbers of NumPy are real, too
+        raise ValueError(f"{name} = {value!r} is no number. Give one between {low:g} and {high:g}.")
+    if not low <= value <= high:
         raise ValueError(f"{name} = {value:g} is not between {low:g} and {high:g}.")

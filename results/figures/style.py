@@ -431,6 +431,8 @@ def _widened(side: tuple[float, float], other_m: float) -> tuple[float, float]:
 
 
 def need(runs: Sequence[Run]) -> None:
+    if isinstance(runs, Run):
+        raise ValueError(f"Figures take a list of runs: FIGURES[...]([run]), not {runs.name} alone.")
     if not runs:
         raise ValueError("There is no run to draw. Name at least one run folder.")
 

@@ -214,6 +214,8 @@ def behind(run: Run) -> pd.DataFrame:
 
 def distribution(run: Run, what: str = "newest evaluation") -> pd.DataFrame:
     """Cumulative distribution of an age at lookup (a key of `AGES`): age_s, share at most as old."""
+    if what not in AGES:
+        raise ValueError(f"what = {what!r}: there is no such age. There are {', '.join(AGES)}.")
     of_roles = lookups.sums(run).age_counts[:, list(AGES).index(what)]
     counts = of_roles.sum(axis=0)
     there = counts > 0

@@ -128,9 +128,12 @@ def _in_use(run: Run) -> Values:
 def in_vehicles(run: Run, step: int) -> pd.Series:
     """Trust in each vehicle at a step, by vehicle: the server's last evaluated value of the pseudonym it has then.
 
-    It is NaN where there is none yet. Of the identities of a Sybil attacker, its own counts.
+    It is NaN where there is none yet. Of the identities of a Sybil attacker, its own counts. ValueError if the run does
+    not have the step.
     """
     who, n_steps = run.subjects, int(run.manifest["steps"])
+    if not 0 <= step < n_steps:
+        raise ValueError(f"step = {step}: {run.path} has the steps 0 to {n_steps - 1}, of {run.dt_s:g} s each.")
     has_begun = (who.identity == 0) & (who.from_step <= step)
     now = who[has_begun].sort_values("from_step").drop_duplicates("vehicle", keep="last")
     known = run.once("trust.by_subject", lambda: _by_subject(run))

@@ -2,6 +2,7 @@
 
 import math
 import re
+from inspect import signature
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 
 from cosim.addons.attacks import effects as attack
 from results import study_curves
+from results.figures.catalogue import FIGURES
 from results.measure import measure
 from results.metrics import encounters, freshness, misbehaviour, radio, traffic, trust
 from results.metrics.registry import METRICS
@@ -263,6 +265,10 @@ def test_measure_is_tidy(run):
     assert set(numbers.metric) <= set(METRICS)
     final = run.measure.value("trust.final.median", "malicious"), run.measure.value("trust.final.median", "honest")
     assert final[0] < 0.1 < 0.6 < final[1]
+    assert run.measure.value("trust.final.median:honest") == final[1]
+    assert run.measure(topics="traffic").metric.str.startswith("traffic.").all()
+    over_time = run.measure.freshness.over_time
+    assert str(signature(over_time)).startswith("(every_s: float") and over_time.__doc__ == freshness.over_time.__doc__
     with pytest.raises(ValueError, match=r"no metric 'trust\.last'"):
         run.measure.value("trust.last")
 
@@ -274,6 +280,14 @@ def test_measure_is_tidy(run):
     (lambda run: run.measure(false_positives=5), "false_positives = 5 is not between 0 and 1."),
     (lambda run: run.measure.misbehaviour.classification(false_positives=5), "is not between 0 and 1."),
     (lambda run: run.measure.radio.over_time(every_s=0), "every_s = 0 is not between 0.001 and inf."),
+    (lambda run: run.measure.radio.over_time(every_s=np.float32(-5)), "every_s = -5 is not between 0.001 and inf."),
+    (lambda run: run.measure(fresh_s="3"), "fresh_s = '3' is no number. Give one between 0 and inf."),
+    (lambda run: run.measure.detection.awareness(range_m=-70), "range_m = -70 is not between 0.001 and inf."),
+    (lambda run: run.measure.detection.precision(lists="local"), "lists = 'local' should be a list of names"),
+    (lambda run: run.measure.detection.precision(lists=["locl"]), "There are local, fused, early."),
+    (lambda run: run.measure.freshness.distribution("newest"), "There are value, newest evaluation, oldest"),
+    (lambda run: run.measure.trust.in_vehicles(10**6), "step = 1000000: "),
+    (lambda run: FIGURES["trust"](run), "Figures take a list of runs"),
     (lambda run: run.measure.radio.overall("CPM"), "There are cpm, evaluation."),
     (lambda run: run.measure.encounters.survival(departure="censor"), "There are ends, censors."),
 ])  # fmt: skip
