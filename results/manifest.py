@@ -28,6 +28,8 @@ def read_manifest(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     if not path.is_dir():
         raise ValueError(f"{path} is not a folder. Give the folder that `cosim run` wrote.")
+    if not (path / MANIFEST).is_file() and (path / "index.parquet").is_file():
+        raise ValueError(f"{path} is a study, not a run. In Python, `results.study.open_study` opens it, and its runs.")
     if not (path / MANIFEST).is_file():
         raise ValueError(f"{path} is not a run: it holds no manifest.json. Give the folder that `cosim run` wrote.")
     try:

@@ -320,5 +320,5 @@ def _check_bounds(name: str, value: Any) -> None:
     low, high = _BOUNDS[name]
     if not isinstance(value, Real) or isinstance(value, bool):  # numbers of NumPy are real, too
         raise ValueError(f"{name} = {value!r} is no number. Give one between {low:g} and {high:g}.")
-    if not low <= value <= high:
+    if not low <= float(value) <= high:
         raise ValueError(f"{name} = {value:g} is not between {low:g} and {high:g}.")

@@ -1,6 +1,7 @@
 """A study on disk: its points, their runs, and every metric by swept key with its interval."""
 
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
@@ -26,6 +27,8 @@ class StudyResults:
 
     def __init__(self, path: Path, head: Mapping[str, Any], points: pd.DataFrame) -> None:
         self.path = path
+        """The folder, as it was named. It is read where it was, even if the working directory changes."""
+        self._folder = Path(os.path.abspath(path))
         self.name: str = head["name"]
         self.question: str = head["question"]
         self.keys: tuple[str, ...] = tuple(head["keys"])
@@ -42,7 +45,7 @@ class StudyResults:
         if not len(found):
             raise ValueError(f"{self.path} has no point {point!r}. `study.points` lists them.")
         row = found.iloc[0]
-        folder = self.path / "runs" / str(row["run"])
+        folder = self._folder / "runs" / str(row["run"])
         return open_run(folder).as_variant(str(row.variant))
 
     @cached_property
@@ -51,7 +54,7 @@ class StudyResults:
         frames = []
         ways: list[dict[str, Any]] = []
         for run in self.points["run"].unique():
-            path = self.path / "jobs" / str(run) / "measures.parquet"
+            path = self._folder / "jobs" / str(run) / "measures.parquet"
             if path.is_file():
                 frames.append(_measures(path))
                 ways += [measuring_in(path.parent)] if path.with_name("job.json").is_file() else []
@@ -76,7 +79,7 @@ class StudyResults:
         frames = []
         kinds = {"point": "O", "what": "O", "group": "O", "value_s": "f", "n": "iu", "n_open": "iu"}
         for run, of_run in self.points.groupby("run", sort=False):
-            path = self.path / "jobs" / str(run) / "curves.parquet"
+            path = self._folder / "jobs" / str(run) / "curves.parquet"
             if path.is_file():
                 frames.append(_read(path, kinds))
                 continue
@@ -135,7 +138,9 @@ class StudyResults:
             points = held_at(points, key, text)
         baseline = {key: value for key, value in self.baseline.items() if key not in where}
         head = {"name": self.name, "question": self.question, "keys": self.keys, "baseline": baseline}
-        return StudyResults(self.path, head, points)
+        found = StudyResults(self.path, head, points)
+        found._folder = self._folder
+        return found
 
     def check_swept(self, *names: str, more: Sequence[str] = ()) -> None:
         """Raise ValueError if one of these names is no swept key, nor one of `more`."""
@@ -215,7 +220,7 @@ def bounds_of_difference(metric: str) -> Bounds:
 
 
 def open_study(path: str | Path) -> StudyResults:
-    """Open the folder of a `cosim sweep`, finished or not."""
+    """Open the folder of a `cosim sweep`, finished or not. Open it again to see the points that finish afterwards."""
     path = Path(path)
     if not is_study(path):
         raise ValueError(f"{path} is not a study: it holds no index.parquet. Give the folder of a `cosim sweep`.")

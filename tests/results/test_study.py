@@ -1,11 +1,13 @@
 """Summaries of studies: bounds, missing replicates."""
 
 import math
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from results import study_notes, study_table
+from results.archive import open_run
 from results.measure import MeasuredRow, _note
 from results.metrics.registry import METRICS
 from results.study import held_at, short_names, with_short_names
@@ -23,6 +25,18 @@ def study(tmp_path):
     return study_of(
         tmp_path, {"trust.host": ("central",)}, 4, lambda metric, keys, r: values[metric][r], measured=measured
     )
+
+
+def test_another_working_directory_and_what_opens_a_study(tmp_path, monkeypatch):
+    """A study opened by a relative path had 'no finished run yet' after the directory changed."""
+    monkeypatch.chdir(tmp_path)
+    Path("study").mkdir()
+    study = study_of(Path("study"), {"trust.host": ("central",)}, 2, lambda *_: 0.5)
+    monkeypatch.chdir("/")
+    assert len(study.at({"trust.host": "central"}).measures) == len(study.measures) > 0
+    (tmp_path / "index.parquet").touch()
+    with pytest.raises(ValueError, match="is a study, not a run"):
+        open_run(tmp_path)
 
 
 def test_intervals_stay_within_bounds_and_missing_replicates_are_said(study):
