@@ -113,8 +113,19 @@ def draws(
     ----------
     names
         What each row is about: `world.name_key`, `stations.key`, numbers of messages; several columns as a tuple.
+
+    Raises
+    ------
+    ValueError
+        If one of these is no whole number: 3.2 and 3.9 would both be 3, and get the same draws.
     """
     columns = names if isinstance(names, tuple) else (names,)
+    for value in map(np.asarray, (seed, step, *columns)):
+        if value.size and value.dtype.kind not in "biu":
+            raise ValueError(
+                f"draws(seed, step, names) takes whole numbers, and {value.flat[0]} is none: the draws of all numbers with "
+                "one whole part would be equal. Name actors, stations or messages, and steps, not seconds."
+            )
     return uniforms(key(seed, Stream.OWN, step), *columns, n=n)
 
 

@@ -1,6 +1,7 @@
 """Chance: known values, independence of order, and the looks of uniform noise."""
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from cosim.base import rng
@@ -43,3 +44,11 @@ def test_uniform():
 def test_name_key_is_a_hash_of_the_name():
     assert rng.name_key("vehicle/a") == rng.name_key("vehicle/a")
     assert rng.name_key("vehicle/a") != rng.name_key("person/a")
+
+
+@pytest.mark.parametrize(("step", "names"), [(2, np.array([3.2, 3.9])), (2.5, np.array([3])), (2, ([3], [0.5]))])
+def test_own_draws_take_whole_numbers(step, names):
+    """They were cut off: places in one metre, and times in one second, had the same draws."""
+    with pytest.raises(ValueError, match="takes whole numbers"):
+        rng.draws(1, step, names)
+    assert rng.draws(1, 2, np.zeros(0)).shape == (0, 1)
