@@ -68,6 +68,8 @@ class Run:
     Every table of the dictionary is an attribute (`run.trust`, `run.encounters`) with the rows of all trust variants;
     columns are as in `results/TABLES.md`, nulls are pandas' NA, rows are sorted by key within a step. A table is kept
     once it was read. Each use gives a frame of its own: what you change in it, neither metrics nor later uses see.
+    Numbers have the types of the dictionary, and int16 and uint8 overflow: `hops - 2` is 255 where hops are 1. Convert
+    such a column first: `astype("int64")`.
     """
 
     def __init__(self, path: Path, manifest: dict[str, Any], variant: str = BASE_VARIANT) -> None:
@@ -207,7 +209,8 @@ class Run:
         columns
             Columns to read; all by default.
         where
-            Condition on rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`.
+            Condition on rows, as in `run.table("fused", where=pyarrow.compute.field("score") > 0.5)`. A label that the
+            table does not have meets no row.
 
         Raises
         ------
@@ -559,7 +562,8 @@ class Run:
     def __repr__(self) -> str:
         steps, tables = self.manifest["steps"], ", ".join(self.tables)
         variant = "" if self.variant == BASE_VARIANT else f", variant {self.variant}"
-        return f"Run({str(self.path)!r}{variant}: {steps} steps, tables {tables})"
+        status = "" if self.status == "finished" else f", {self.status}"
+        return f"Run({str(self.path)!r}{variant}{status}: {steps} steps, tables {tables})"
 
     @property
     def roles(self) -> pd.Series:

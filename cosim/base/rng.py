@@ -123,8 +123,8 @@ def draws(
     for value in map(np.asarray, (seed, step, *columns)):
         if value.size and value.dtype.kind not in "biu":
             raise ValueError(
-                f"draws(seed, step, names) takes whole numbers, and {value.flat[0]} is none: the draws of all numbers with "
-                "one whole part would be equal. Name actors, stations or messages, and steps, not seconds."
+                f"draws(seed, step, names) takes whole numbers, and {value.flat[0]} is none: the draws of all numbers "
+                "with one whole part would be equal. Name actors, stations or messages, and steps, not seconds."
             )
     return uniforms(key(seed, Stream.OWN, step), *columns, n=n)
 

@@ -298,12 +298,16 @@ class SimulatedStep:
         """No rows, in the types that rows of other steps have: `pd.concat` of steps keeps these types."""
         made = {}
         for name, column in columns.items():
-            categories = pd.CategoricalDtype(pd.Index(column.labels(self._labels)))
-            whole, flag = ("Int64", "boolean") if column.null else ("int64", "bool")
-            dtypes: dict[str, Any] = {"bool": flag, "category": categories, "string": "str"} | dict.fromkeys(
-                WHOLE, whole
-            )
-            made[name] = pd.Series(dtype=dtypes.get(column.type, "float64"))
+            dtype: Any = "float64"
+            if column.type == "category":
+                dtype = pd.CategoricalDtype(pd.Index(column.labels(self._labels)))
+            elif column.type == "bool":
+                dtype = "boolean" if column.null else "bool"
+            elif column.type in WHOLE:
+                dtype = "Int64" if column.null else "int64"
+            elif column.type == "string":
+                dtype = "str"
+            made[name] = pd.Series(dtype=dtype)
         return pd.DataFrame(made)
 
     def _frame(self, table: str, columns: Mapping[str, ndarray | None]) -> pd.DataFrame:

@@ -133,7 +133,7 @@ def in_vehicles(run: Run, step: int) -> pd.Series:
     """
     who, n_steps = run.subjects, int(run.manifest["steps"])
     if not 0 <= step < n_steps:
-        raise ValueError(f"step = {step}: {run.path} has the steps 0 to {n_steps - 1}, of {run.dt_s:g} s each.")
+        raise ValueError(f"step = {step}: {run.path} has the steps 0 to {n_steps - 1}.")
     has_begun = (who.identity == 0) & (who.from_step <= step)
     now = who[has_begun].sort_values("from_step").drop_duplicates("vehicle", keep="last")
     known = run.once("trust.by_subject", lambda: _by_subject(run))

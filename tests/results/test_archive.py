@@ -87,7 +87,8 @@ def test_unfinished_and_foreign_runs(broken):
     manifest = read_manifest(broken)
     write_manifest(broken, manifest | {"status": "running"})
     assert "cosim resume" in complaint(broken) and '"killed"' in complaint(broken)
-    assert len(open_run(broken, unfinished=True).actors)
+    run = open_run(broken, unfinished=True)
+    assert len(run.actors) and ", killed: 20 steps" in repr(run)
 
 
 @pytest.mark.parametrize(
