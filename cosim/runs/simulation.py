@@ -354,11 +354,9 @@ def _resolved(config: AnyConfig, parts: Mapping[str, type | str]) -> Config:
         for section, name in named.items():
             changes.append(f"{section}.{SECTIONS[section].key}={name}")
         return load(None if config is None else _file(config), changes)
-    if isinstance(config, Config) and not named:
-        return config
     if not isinstance(config, Config | Mapping):
         raise ValueError(f"the config is a {type(config).__name__}. {_KINDS}")
-    data = config.to_dict() if isinstance(config, Config) else with_defaults(_plain(config))
+    data = _plain(config.to_dict()) if isinstance(config, Config) else with_defaults(_plain(config))
     for section, name in named.items():
         data.setdefault(section, {})[SECTIONS[section].key] = name
     return resolve_data(data, "the config", None)

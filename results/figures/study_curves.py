@@ -61,6 +61,8 @@ def draw(
     where
         Values at which other keys are held, which the legend says; `group` is a definition of an encounter.
     """
+    if what not in _TITLES:
+        raise ValueError(f"what = {what!r}: there is no such figure. There are {', '.join(_TITLES)}.")
     frame = study.curves[study.curves.what == what]
     if frame.empty:
         raise ValueError(

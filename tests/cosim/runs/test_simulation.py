@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -129,6 +130,14 @@ def test_a_dictionary_may_hold_numbers_of_numpy_tuples_and_paths():
     config = Simulation(given).config
     assert (config.seed, config.traffic.duration_s, config.attacks[0].share_p) == (7, 2, 0.25)
     assert given["attacks"] is attacks
+
+
+def test_a_config_is_checked_as_a_dictionary_is():
+    """With a class in place of a part it was refused, and what `replace` had put into it was taken as it came."""
+    assert Simulation(load(), trust="beta").config.trust.model == "beta"
+    assert Simulation(load()).config == load()
+    with pytest.raises(ValueError, match=r"seed = 1\.5 should be a valid integer"):
+        Simulation(replace(load(), seed=1.5))
 
 
 def test_keys_without_effect_are_named(caplog):
