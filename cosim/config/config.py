@@ -11,7 +11,7 @@ are in `Config.own`.
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -342,7 +342,7 @@ def _params(choice: Choice, data: dict[str, Any], prefix: str, where: str) -> An
         return validated(choice.params, data, prefix, where)
 
 
-def load(path: Path | None = None, overrides: list[str] | None = None, trust_code: bool = False) -> Config:
+def load(path: str | Path | None = None, overrides: Sequence[str] | None = None, trust_code: bool = False) -> Config:
     """Read a config from a TOML file and apply `key=value` overrides.
 
     Parameters
@@ -359,8 +359,9 @@ def load(path: Path | None = None, overrides: list[str] | None = None, trust_cod
     ValueError
         The config has a mistake; the message is one line.
     """
+    path = None if path is None else Path(path)
     data = with_defaults({} if path is None else read_toml(path, "config file"))
-    for text in overrides or []:
+    for text in [overrides] if isinstance(overrides, str) else overrides or []:
         override(data, text)
     if path is not None:
         with loading_code_of(path, trust_code):

@@ -106,7 +106,7 @@ def run(
     return folder.path
 
 
-def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
+def resume(path: str | Path, advance: Advance, traffic_from: Path | None = None, trust_code: bool = False) -> Path:
     """Continue a run that was killed or interrupted, from its last complete block.
 
     The tables equal those of a run without interruption. The traffic is simulated again from its beginning, because
@@ -135,6 +135,7 @@ def resume(path: Path, advance: Advance, traffic_from: Path | None = None, trust
     Damaged
         If the files of the run differ from what was written.
     """
+    path = Path(path)
     manifest = read_manifest(path)
     config = resumable(path, trust_code)
     scenario = check(config)

@@ -227,7 +227,7 @@ def test_a_vehicle_alone_has_no_trust(tiny):
 )
 def test_attackers_that_never_attacked(tiny, start_s, why):
     run = tiny(20, vehicles=fleet("honest", "malicious"), trust=values({5: [0.3, 0.1]}))
-    run.config["attacks"] = [{"start_s": start_s}]
+    run.manifest["config"]["attacks"] = [{"start_s": start_s}]
     with pytest.raises(ValueError, match=why):
         misbehaviour.classification(run)
 

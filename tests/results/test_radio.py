@@ -74,7 +74,7 @@ def test_delivery_by_what_stands_between(tiny):
 )
 def test_nothing_received_names_its_cause(tiny, model, row, why):
     run = tiny(1, radio=[row], latency_histogram=[], packet_inter_reception=[])
-    run.config["radio"] = {"model": model}
+    run.manifest["config"]["radio"] = {"model": model}
     with pytest.raises(ValueError, match=why):
         radio.latency(run)
     with pytest.raises(ValueError, match=why):
@@ -95,7 +95,7 @@ def test_the_map(tiny):
     assert cells[["x_m", "y_m", "n"]].values.tolist() == [[25, 25, 1], [75, 25, 3]]
     assert cells.cbr.tolist() == [0.25, 0.25]
     assert cells.pdr.tolist() == [1, 0.25]
-    run.config["radio"] = {"relay": {"max_hops": 3}}
+    run.manifest["config"]["radio"] = {"relay": {"max_hops": 3}}
     with_relays = radio.by_place(run, 50.0)
     assert with_relays.pdr.isna().all() and with_relays.cbr.tolist() == [0.25, 0.25]
 
