@@ -125,7 +125,7 @@ def test_trust_of_before_the_first_step_shown_is_known(tmp_path):
 
     actors = [{"step": 5, "actor": 0, "x_m": 1.0}]
     rated = [{"step": 2, "subject": 0, "trust": 0.25, "n_evaluations": 1}]
-    run = make(tmp_path, 6, vehicles=fleet("honest"), actors=actors, trust=rated, detections=[])
+    run = make(tmp_path, 7, vehicles=fleet("honest"), actors=actors, trust=rated, detections=[])
     _block(Kept(), run, None, np.array([5]), run.encounters, (), None)
     expected = Points2D([[0, 0]], colors=colours(np.array([0.25]))).colors
     assert logged["map/rings"].colors.as_arrow_array().equals(expected.as_arrow_array())
