@@ -17,7 +17,7 @@ from results.tables import SCHEMA_VERSION, TABLES, kept
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
 
 
-def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
+def verify(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Check a run folder against its inventory.
 
     Returns
@@ -25,7 +25,6 @@ def verify(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     Status, steps, tables, parts, rows and bytes; and one line per problem, none if the folder is intact. While a
     process writes the run, only whole blocks are checked.
     """
-    folder = Path(folder)
     is_live = durable.is_locked(folder)
     try:
         manifest = read_manifest(folder)
