@@ -35,7 +35,8 @@ def own_trust_of(
 ) -> Float[ndarray, "n"] | None:
     """Trust in each actor as the actor itself last learned it, by row of the world; None if no attack reads it.
 
-    Actors that are not equipped have the default trust.
+    It is NaN where no broadcast has a value of its pseudonym: the default trust was never broadcast, and a new
+    pseudonym has it again.
     """
     if not parts.adversary.reads_trust:
         return None
@@ -43,9 +44,9 @@ def own_trust_of(
     actor = world.actor[row]
     subject = parts.linkage.subjects(pseudonyms, pseudonyms.of(actor))
     found = parts.trust.lookup(trust, actor, subject, now.begin_s)
-    acting = parts.trust.host_of[0]
-    own_trust = np.full(len(world), parts.config.trust.default_trust)
-    own_trust[row] = found[acting].trust
+    of_acting = found[parts.trust.host_of[0]]
+    own_trust = np.full(len(world), np.nan)
+    own_trust[row] = np.where(of_acting.is_default, np.nan, of_acting.trust)
     return own_trust
 
 

@@ -119,6 +119,16 @@ def test_whitewashing_takes_a_new_pseudonym_when_trust_has_fallen():
         assert trust[row.to_step, row.pseudonym] < 0.5
 
 
+def test_attackers_read_no_trust_that_nobody_has_broadcast():
+    """The default trust, 0.7, was never broadcast: the first values are those that are received in step 1."""
+    whitewashing = GHOST | {"renewal": "whitewashing", "renew_below": 0.8}
+    names = play([whitewashing], n_steps=3, trust={"default_trust": 0.7, "server_period_s": 100.0})["pseudonyms"]
+    assert names.pseudonym.tolist() == list(range(N))
+    for when in ({"when": "sleeper", "wake_trust": 0.6}, {"when": "camouflage", "keep_above": 0.6}):
+        tables = play([GHOST | when], n_steps=2, trust={"default_trust": 0.7})
+        assert liars_by_step(tables).empty
+
+
 def test_newcomers_change_after_a_time():
     names = play([GHOST | {"renewal": "newcomer", "renew_s": 3.0}], n_steps=10)["pseudonyms"]
     mine = names[names.vehicle.isin(WHO)].sort_values(["vehicle", "from_step"])
