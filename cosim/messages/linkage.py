@@ -19,7 +19,7 @@ from numpy import ndarray
 from cosim.base.ragged import owner_of_rows, stable_order
 from cosim.messages.pseudonyms import PseudonymParams, Pseudonyms, PseudonymState
 from trust.params import KINDS
-from trust.tables import EvaluationMessages, TrustScores
+from trust.tables import SERVER, EvaluationMessages, TrustScores
 
 PER_IDENTITY = 1024 * len(KINDS)
 """Detection indices of the n-th further identity of a linked vehicle begin at n times this. They keep the kinds of
@@ -77,6 +77,7 @@ class Linkage:
     def scores(self, state: PseudonymState, scores: TrustScores) -> TrustScores:
         """The scores, with each subject replaced by its current or last pseudonym.
 
+        Further identities that are linked to a subject have its score, too, because receivers look it up for them.
         Without the rows of pseudonyms that are known as another one since they were linked on demand.
         """
         if not self.renames:
@@ -93,11 +94,14 @@ class Linkage:
             subject = np.where(linked, current, scores.subject)
         else:
             subject = state.current[vehicle]
-        renamed = replace(scores, subject=subject)
-        order = np.lexsort((subject, scores.holder))
-        if (np.diff(order) == 1).all():
-            return renamed
-        return renamed.take(order)
+        further = state.extra[:, 1]
+        holder = np.full_like(further, SERVER)
+        at, there = scores.rows_of(holder, self.subjects(state, further))
+        there &= ~np.isin(further, subject)
+        row = np.append(np.arange(len(scores.subject)), at[there])
+        subject = np.append(subject, further[there])
+        order = np.lexsort((subject, scores.holder[row]))
+        return replace(scores.take(row[order]), subject=subject[order])
 
     def accused(self, state: PseudonymState, reports: list[EvaluationMessages]) -> PseudonymState:
         """Count the accusations that have reached the server. Vehicles with enough of them are linked from then on.
