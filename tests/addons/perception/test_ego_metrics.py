@@ -37,10 +37,11 @@ def test_published_figures_are_those_of_the_paper():
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """Ten seconds of the paper's drives, seen by every tenth vehicle."""
+    """Ten seconds of the paper's drives, seen by every tenth vehicle; each changes its pseudonym after four."""
     folder = tmp_path_factory.mktemp("drive") / "run"
     sets = ("traffic.duration_s=10", "attacks.0.victim_p=0.1", "trust.method=local", "gnss.std_m=1")
-    return open_run(simulate(folder, *sets, config=DRIVES))
+    names = ("pseudonyms.policy=periodical", "pseudonyms.period_s=4")
+    return open_run(simulate(folder, *sets, *names, config=DRIVES))
 
 
 def plainly(run, egos, table, owner):
@@ -107,15 +108,16 @@ def test_precision_at_the_egos_is_that_of_their_own_detections_and_of_plain_loop
 
 def test_final_trust_of_a_run_by_hand(drive):
     found = ego_metrics.measures(drive).set_index(["metric", "group"]).value
-    vehicles, names = drive.vehicles, drive.pseudonyms.set_index("vehicle").pseudonym
-    until = drive.trust.subject.map(drive.pseudonyms.set_index("pseudonym").to_step)
-    last = drive.trust[drive.trust.step <= until].sort_values("step").groupby("subject").trust.last()
+    vehicles, names = drive.vehicles, drive.pseudonyms.set_index("pseudonym")
+    assert names.vehicle.duplicated().any()
+    used = drive.trust[drive.trust.step <= drive.trust.subject.map(names.to_step)].sort_values("step")
+    last = used.groupby(used.subject.map(names.vehicle)).trust.last()
     egos = set(ego_metrics.egos_of(drive))
     liars = set(drive.detections[drive.detections.lied].observer.map(drive.subjects.vehicle))
     for role in ("honest", "malicious"):
         mine = [v for v in vehicles[vehicles.equipped & (vehicles.role == role)].vehicle if v not in egos]
         mine = [v for v in mine if role == "honest" or v in liars]
-        assert found["paper.final_trust.mean", role] == pytest.approx(np.mean([last.get(names[v], 0.5) for v in mine]))
+        assert found["paper.final_trust.mean", role] == pytest.approx(np.mean([last.get(v, 0.5) for v in mine]))
     assert ego_metrics.of_egos(drive, metric="paper.final_trust.mean", groups=["malicious", "nobody"]) == pytest.approx(
         [found["paper.final_trust.mean", "malicious"], np.nan], nan_ok=True
     )

@@ -75,13 +75,16 @@ def _precision(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
 def _trust(run: Run) -> Iterator[tuple[str, str, float, str, str]]:
     """Mean of the last trust value of equipped vehicles without egos; a vehicle without a value has the default.
 
+    Of a vehicle with several pseudonyms, the last value of its own identity counts.
     Attackers that never met an ego never attacked, and are left out. If no vehicle attacks in the run, they count.
     """
     is_ego = run.vehicles.vehicle.isin(egos_of(run))
     cars = run.vehicles[run.vehicles.equipped & ~is_ego]
     if cars.attack_start_step.notna().any():
         cars = cars[(cars.role == "honest") | cars.attack_start_step.notna()]
-    last = trust.values(run).drop_duplicates("subject", keep="last").set_index("vehicle").trust
+    values, is_own = trust.values(run), run.subjects.identity == 0
+    values = values[values.subject.map(is_own)]
+    last = values.drop_duplicates("vehicle", keep="last").set_index("vehicle").trust
     default = float(run.config["trust"]["default_trust"])
     value = cars.vehicle.map(last).astype(float).fillna(default)
     for role, some in value.groupby(cars.role.astype(str)):
