@@ -14,10 +14,10 @@ from results.run import Run
 def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     """Receiver operating characteristic of thresholds on trust, and time to detection at the marked one.
 
-    Of trust values that rest on at least one evaluation; the diagonal is chance. Honest vehicles are watched from the
-    first attack of any on; those who leave before they are suspected are censored (Kaplan and Meier). The trust is
-    the server's; without one, above the mean of the values that receivers hold, below that of the first of them to
-    fall below the threshold.
+    Of trust values that rest on at least one evaluation; the diagonal is chance. Honest pseudonyms are watched from the
+    first attack of any vehicle on; those that go out of use before they are suspected are censored (Kaplan and Meier).
+    The trust is the server's; without one, above the mean of the values that receivers hold, below that of the first
+    of them to fall below the threshold.
     """
     runs = style.arranged(runs, most=4)
     roles = style.roles_of(runs)
@@ -40,7 +40,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     style.share_axis(curves)
     curves.set_xlim(-0.02, 1.03)
     few = f"{100 * false_positives:g} %"
-    axes = "Time since the first attack [s]", "Share of vehicles (Kaplan-Meier)"
+    axes = "Time since the first attack [s]", f"Share of {style.subjects_of(runs)} (Kaplan-Meier)"
     style.panel(delays, f"Suspected at {few} false positives", *axes)
     if not any(limits):
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)

@@ -357,6 +357,12 @@ def roles_of(runs: Sequence[Run]) -> list[str]:
     return list(dict.fromkeys(role for run in runs for role in run.role_labels))
 
 
+def subjects_of(runs: Sequence[Run]) -> str:
+    """What trust is in: vehicles, or pseudonyms if a vehicle used several."""
+    several = [run.subjects.vehicle.duplicated().any() for run in runs]
+    return "pseudonyms" if any(several) else "vehicles"
+
+
 def sparse(n: int, about: int = 10) -> int:
     """Points per marker."""
     return max(1, n // about)

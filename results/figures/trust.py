@@ -1,4 +1,4 @@
-"""Trust over time: median and quartiles over the vehicles of each role."""
+"""Trust over time: median and quartiles over the pseudonyms of each role."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from results.tables import axis_label
 
 @style.styled
 def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
-    """Median and quartiles, over vehicles, of the trust in them, by role.
+    """Median and quartiles, over pseudonyms, of the trust in them, by role.
 
     It is the server's at the time of its computation; without a server, the mean of the values that receivers hold
     of their own. `vehicles` (actor numbers) are drawn one by one as thin lines beside it.
@@ -57,7 +57,8 @@ def draw(runs: Sequence[Run], vehicles: Sequence[int] = ()) -> Figure:
     places = {"server": "at the server", "vehicles": "at those who receive their messages"}
     kept_at = {trust.kept_at(run) for run in runs}
     where = " or ".join(text for at, text in places.items() if at in kept_at)
-    style.panel(axes, f"Trust in vehicles {where}: {what}", style.TIME, axis_label("trust", "trust", "Trust"))
+    title = f"Trust in {style.subjects_of(runs)} {where}: {what}"
+    style.panel(axes, title, style.TIME, axis_label("trust", "trust", "Trust"))
     top = max((float(np.max(line.get_ydata())) for line in lines), default=1.0)
     if len(runs) == 1:
         top = max(top, tops)

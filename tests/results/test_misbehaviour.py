@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import mannwhitneyu
 
 from cosim.addons.attacks import effects as attack
+from results.figures import misbehaviour as figure
 from results.measure import measure
 from results.metrics import intervals, misbehaviour, trust
 from tests.results.tiny import fleet
@@ -62,6 +63,7 @@ def test_classification_by_hand(town):
 def test_pseudonyms_of_a_vehicle_are_one_unit(tiny):
     """Twelve vehicles that change their pseudonyms after ten steps say no more than twelve that keep them."""
     random = np.random.default_rng(2)
+    labels = []
     vehicles = attacking(["honest"] * 7 + ["malicious"] * 5, dict.fromkeys(range(7, 12), 1))
     level = random.uniform(0.1, 0.8, 12)
     rows = [(s, v, level[v] + 0.2 * random.random()) for s in range(20) for v in range(12)]
@@ -75,10 +77,13 @@ def test_pseudonyms_of_a_vehicle_are_one_unit(tiny):
         known = [{"step": s, "subject": name[v][s // 10], "trust": t, "n_evaluations": 9} for s, v, t in rows]
         looked = [{**row, "receiver": 0, "newest_evaluation_age_s": 1.0} for row in known if row["subject"] % 12]
         tables = {"vehicles": vehicles, "pseudonyms": pseudonyms, "trust": known, "trust_lookups": looked}
-        table = measure(tiny(20, **tables), topics=("trust", "misbehaviour", "security"))
+        run = tiny(20, **tables)
+        table = measure(run, topics=("trust", "misbehaviour", "security"))
         found.append(table.set_index(["metric", "group"]))
+        labels.append(figure.draw([run]).axes[1].get_ylabel().split("\n")[0])
+    assert [label.split()[2] for label in labels] == ["vehicles", "pseudonyms"]
     of_vehicles, of_pseudonyms = found
-    same = of_vehicles.index.drop([("security.precision", "vehicle")])  # it counts last values, of each pseudonym
+    same = of_vehicles.index.drop([("security.precision", "pseudonym")])  # it counts last values, of each pseudonym
     units = of_vehicles.n_units[same].dropna()
     assert len(units) > 25 and units.equals(of_pseudonyms.n_units[units.index])
     for name in ("auc", "recall_at_fpr", "below_threshold.share", "at_lookup.auc", "at_lookup.suspected.share"):

@@ -318,7 +318,7 @@ def security(of):
     every = pairs(of).sort_values(["step", "subject"])
     sent = of.table("detections")
     now = every.assign(attacks=every.role != "honest", excluded=every.enough & (every.trust < of.threshold))
-    units = [("value", now), ("vehicle", now.groupby("subject").tail(1))]
+    units = [("value", now), ("pseudonym", now.groupby("subject").tail(1))]
     if len(sent):
         units.append(("message", messages(of, sent, now)))
     for unit, some in units:

@@ -17,7 +17,7 @@ _HONEST = "honest"
 
 @style.styled
 def draw(runs: Sequence[Run]) -> Figure:
-    """Median trust, over vehicles, of each attack of the config and of honest vehicles; a panel per trust variant.
+    """Median trust, over pseudonyms, of each attack of the config and of honest vehicles; a panel per trust variant.
 
     Attacks are told apart by the keys in which their sections differ; the dashed line is the first attack.
     """
@@ -71,7 +71,7 @@ def labels(run: Run) -> dict[int, str]:
 
 
 def over_time(run: Run) -> pd.DataFrame:
-    """Trust by attack: time_s, attack (position of the section, -1: honest), n (vehicles), median. Rated values."""
+    """Trust by attack: time_s, attack (position of the section, -1: honest), n (pseudonyms), median. Rated values."""
     frame = trust.values(run).query("rated")
     section = run.table("vehicles", ["vehicle", "attack"]).set_index("vehicle").attack
     frame = frame.assign(attack=frame.vehicle.map(section).fillna(-1).astype(int))

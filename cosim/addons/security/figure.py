@@ -14,7 +14,7 @@ from results.run import Run
 @style.styled
 def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     """Per trust variant, of trust as vehicles look it up: area under the ROC curve, attackers below a threshold, and
-    honest vehicles suspected by mistake.
+    honest pseudonyms suspected by mistake.
 
     Every run is drawn once for each of its trust variants, with all its attackers together; central and local trust
     are measured alike. The dashed line is chance. In the second panel the threshold is each variant's own: that of the
@@ -41,7 +41,7 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     panel_titles = (
         ("Honest above attacker, at lookup", "Area under the ROC curve"),
         (f"Below the threshold at {few} false positives", "Share of evaluated lookups of attackers"),
-        ("Honest vehicles suspected", "Share of (receiver, honest sender) pairs"),
+        (f"Honest {style.subjects_of(runs)} suspected", "Share of (receiver, honest sender) pairs"),
     )
     longest = max(len(line) for label in labels for line in label.split("\n"))
     for axes, (title, x) in zip(panels, panel_titles, strict=True):

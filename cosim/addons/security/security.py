@@ -32,17 +32,17 @@ def excluded(run: Run, threshold: float | None = None) -> pd.DataFrame:
 
 
 def confusion(run: Run, threshold: float | None = None) -> pd.DataFrame:
-    """Confusion matrix by value, by vehicle and by message.
+    """Confusion matrix by value, by pseudonym and by message.
 
     Returns
     -------
-    unit: "value" (a subject whenever trust is computed), "vehicle" (a subject at the last such moment), and "message"
+    unit: "value" (a subject whenever trust is computed), "pseudonym" (a subject at the last such moment), and "message"
     if the run holds detections (positive if it holds a lie, whoever sent it); tp, fp, fn, tn; and what `rates` returns.
     precision, recall and fpr have intervals clustered by vehicle. A subject without enough evaluations is not excluded.
     """
     frame = excluded(run, threshold)
     rows = []
-    units = [("value", frame), ("vehicle", frame.drop_duplicates("subject", keep="last"))]
+    units = [("value", frame), ("pseudonym", frame.drop_duplicates("subject", keep="last"))]
     if "detections" in run.tables:
         units.append(("message", messages(run, frame)))
     for unit, some in units:

@@ -44,12 +44,12 @@ def test_confusion_by_hand(town):
 
     At the last moment: attackers 0.1 and 0.3, honest 0.2 of three.
     """
-    value, vehicle, _ = security.confusion(town, 0.35).to_dict("records")
+    value, last, _ = security.confusion(town, 0.35).to_dict("records")
     assert [value[k] for k in ("tp", "fp", "fn", "tn")] == [3, 1, 2, 8]
     assert (value["precision"], value["recall"], value["fpr"], value["f1"]) == (3 / 4, 3 / 5, 1 / 9, 6 / 9)
     assert value["mcc"] == pytest.approx((3 * 8 - 1 * 2) / np.sqrt(4 * 5 * 9 * 10))
     assert value["informedness"] == pytest.approx(3 / 5 - 1 / 9)
-    assert [vehicle[k] for k in ("tp", "fp", "fn", "tn")] == [2, 1, 0, 2]
+    assert [last[k] for k in ("tp", "fp", "fn", "tn")] == [2, 1, 0, 2]
     assert np.isnan(security.rates(0, 0, 0, 5)["recall"])
 
 
