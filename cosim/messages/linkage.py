@@ -150,7 +150,9 @@ class Linkage:
         if len(state.linked):
             linked_to = state.linked[np.maximum(vehicle, 0)]
         linked = known & (linked_to >= 0) & (pseudonym > linked_to)
-        return np.where(linked, linked_to, pseudonym), np.where(linked, identity, 0)
+        _, accused = self.pseudonyms.owners(state, linked_to)
+        apart = identity ^ accused  # the accused identity, perhaps not the vehicle's own, keeps the first range
+        return np.where(linked, linked_to, pseudonym), np.where(linked, apart, 0)
 
 
 class Revocation:

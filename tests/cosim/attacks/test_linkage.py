@@ -222,6 +222,17 @@ def test_identities_that_are_linked_to_the_accused_one_have_its_value():
     assert before.subject.tolist() == [3, 5]
 
 
+def test_detections_of_the_accused_identity_and_of_the_vehicle_s_own_are_kept_apart():
+    """Pseudonyms 5, 8 and 9 of vehicle 0 are its identities 2, 3 and 0; 5 is accused, and each reports itself."""
+    of = {5: (0, 2), 8: (0, 3), 9: (0, 0)}
+    owned = SimpleNamespace(owners=lambda state, pseudonym: np.array([of[p] for p in pseudonym]).T)
+    linkage = Linkage(PseudonymParams(linkage="on_demand"), owned)
+    subject, index = linkage.keys(SimpleNamespace(linked=np.array([5])), np.array([5, 8, 9]), np.array([0, 0, 0]))
+    assert subject.tolist() == [5, 5, 5]
+    assert index[0] == 0, "as before the link"
+    assert len(set(index)) == 3
+
+
 def test_receivers_link_by_place_and_speed():
     """All change every 3 s, drive straight on and are received every second: nearly all links are found, and right."""
     pseudonyms = {"policy": "periodical", "period_s": 3.0, "linkage": "own"}
