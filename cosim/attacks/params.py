@@ -84,7 +84,8 @@ class AttackParams:
     renewal: Renewal = "by_policy"
     """When its vehicles change their pseudonyms. `by_policy`: by the pseudonym policy, like all vehicles.
     `whitewashing`: also when the last broadcast trust in them is below `renew_below`. `newcomer`: also every
-    `renew_s`, so that they always have the default trust."""
+    `renew_s`, so that they always have the default trust. Further identities of a Sybil attacker keep their pseudonyms,
+    whatever the policy."""
     renew_below: Annotated[float, Ge(0), Le(1)] = 0.5
     """With `whitewashing`: a vehicle takes a new pseudonym if its trust is below this value."""
     renew_s: Annotated[float, Gt(0), Le(1e8)] = 10.0

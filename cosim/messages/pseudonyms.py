@@ -251,9 +251,10 @@ class PseudonymParams:
     own_gate_m: Annotated[float, Gt(0), Le(10_000)] = 3.0
     """With `own`: largest distance of the new pseudonym from the predicted position of the old one [m]."""
     revocation: Literal["none", "immediate", "list", "not_renewed"] = "none"
-    """What happens if the server's trust in a vehicle is below `revoke_below`. `none`: nothing. `immediate`: receivers
-    drop its messages at once. `list`: receivers drop its messages from the next revocation list on. `not_renewed`: the
-    vehicle gets no new pseudonym after its current one."""
+    """What happens if the server's trust in a vehicle is below `revoke_below`. Without `linkage` the server knows only
+    pseudonyms, and revokes one of them. `none`: nothing. `immediate`: receivers drop its messages at once. `list`:
+    receivers drop its messages from the next revocation list on. `not_renewed`: the vehicle gets no new pseudonym after
+    its current ones."""
     revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
     """A vehicle is revoked if the server's trust in it is below this value."""
     min_evaluations: Annotated[int, Gt(0), Le(2**31 - 1)] = 5

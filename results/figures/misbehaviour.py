@@ -40,7 +40,9 @@ def draw(runs: Sequence[Run], false_positives: float = 0.05) -> Figure:
     style.share_axis(curves)
     curves.set_xlim(-0.02, 1.03)
     few = f"{100 * false_positives:g} %"
-    axes = "Time since the first attack [s]", f"Share of {style.subjects_of(runs)} (Kaplan-Meier)"
+    subjects = style.subjects_of(runs)
+    begin = "the first attack" if subjects == "vehicles" else "it is watched"
+    axes = f"Time since {begin} [s]", f"Share of {subjects} (Kaplan-Meier)"
     style.panel(delays, f"Suspected at {few} false positives", *axes)
     if not any(limits):
         delays.text(0.5, 0.5, f"more than {few} of\nhonest values are 0", ha="center", transform=delays.transAxes)

@@ -122,8 +122,8 @@ def test_whitewashing_takes_a_new_pseudonym_when_trust_has_fallen():
 def test_attackers_read_no_trust_that_nobody_has_broadcast():
     """The default trust, 0.7, was never broadcast: the first values are those that are received in step 1."""
     whitewashing = GHOST | {"renewal": "whitewashing", "renew_below": 0.8}
-    names = play([whitewashing], n_steps=3, trust={"default_trust": 0.7, "server_period_s": 100.0})["pseudonyms"]
-    assert names.pseudonym.tolist() == list(range(N))
+    names = play([whitewashing], n_steps=2, trust={"default_trust": 0.7})["pseudonyms"]
+    assert len(names) == N
     for when in ({"when": "sleeper", "wake_trust": 0.6}, {"when": "camouflage", "keep_above": 0.6}):
         tables = play([GHOST | when], n_steps=2, trust={"default_trust": 0.7})
         assert liars_by_step(tables).empty
