@@ -86,7 +86,7 @@ class ReportsUnderWay(NamedTuple):
     """Reports to the server that were sent at one time."""
 
     arrival_s: Float[ndarray, "v"]
-    """When each arrives; infinite for those that have arrived."""
+    """When each arrives."""
     messages: EvaluationMessages
 
 
@@ -206,9 +206,8 @@ class Uplink:
             due = sent.arrival_s <= time_s
             if due.any():
                 here.append(chosen_messages(sent.messages, due))
-                sent = sent._replace(arrival_s=np.where(due, np.inf, sent.arrival_s))
-            if np.isfinite(sent.arrival_s).any():
-                later.append(sent)
+            if not due.all():  # only these are kept: a slow report would keep those of a whole city
+                later.append(ReportsUnderWay(sent.arrival_s[~due], chosen_messages(sent.messages, ~due)))
         return UplinkState(tuple(later)), here
 
 
