@@ -74,7 +74,7 @@ def folder(tmp_path):
 def run(folder: Path, script: str):
     env = os.environ | OFFLINE | {"PATH": f"{folder / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        ["bash", "-euc", script], cwd=folder / "work", env=env, capture_output=True, text=True, timeout=1200
+        ["bash", "-euc", script], cwd=folder / "work", env=env, capture_output=True, text=True, timeout=3600
     )
     assert done.returncode == 0, f"{script}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
     return done.stdout
@@ -132,7 +132,7 @@ def carried_out(folder, monkeypatch):
         nbformat.validate(book)
         for cell in book.cells if instead else ():
             cell.source = cell.source.replace(*instead)
-        nbclient.NotebookClient(book, timeout=1200, resources={"metadata": {"path": str(folder / "work")}}).execute()
+        nbclient.NotebookClient(book, timeout=3600, resources={"metadata": {"path": str(folder / "work")}}).execute()
         return "".join(out.get("text", "") for cell in book.cells for out in cell.get("outputs", []))
 
     return run
