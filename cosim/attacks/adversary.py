@@ -189,7 +189,7 @@ class Adversary:
         Parameters
         ----------
         trust
-            Trust in each actor, as the actor last received it. None if no attack reads it.
+            Trust in each actor, as the actor last received it; NaN where it received none. None if no attack reads it.
         age_s
             Age of each actor's current pseudonym.
 
@@ -224,7 +224,7 @@ class Adversary:
         time_s
             Time since recording began.
         trust
-            Trust in each actor, as the actor last received it. None if no attack reads it.
+            Trust in each actor, as the actor last received it; NaN where it received none. None if no attack reads it.
         sends
             Actors that send messages in this step, by row of the world. None if all equipped vehicles do.
         """

@@ -264,6 +264,8 @@ class PseudonymParams:
 
 
 _no_integers = partial(np.zeros, 0, np.int64)
+_no_issued = partial(np.zeros, (0, 3), np.int64)
+_no_extra = partial(np.zeros, (0, 4), np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,9 +287,9 @@ class PseudonymState:
     """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym. It has no meaning before that."""
     linked: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
     """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
-    issued: Int[ndarray, "n_issued 3"] = field(default_factory=lambda: _no_integers().reshape(0, 3))
+    issued: Int[ndarray, "n_issued 3"] = field(default_factory=_no_issued)
     """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
-    extra: Int[ndarray, "x 4"] = field(default_factory=lambda: _no_integers().reshape(0, 4))
+    extra: Int[ndarray, "x 4"] = field(default_factory=_no_extra)
     """Further identities. Columns: `_identity_key` (ascending), pseudonym, first and last step."""
     n_sent: int = 0
     """Number of detection messages that vehicles have made so far."""

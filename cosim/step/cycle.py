@@ -128,7 +128,7 @@ def _cycle(
 ) -> tuple[State, Sensed, Beliefs | None]:
     """The paper's cycle, from sweeps to fused objects. Beliefs are None if the driver does not use them.
 
-    `own_trust` is the trust in each actor, as the actor last received it; None if no attack reads it.
+    `own_trust` is the trust in each actor, as the actor last received it, NaN if none; None if no attack reads it.
     """
     config, watch = parts.config, parts.watch
     with watch("server"):

@@ -2,7 +2,7 @@
 
 `make figures`, or `python -m tests.verification.figures [NAME...]`. Each command is a process of its own. What it
 prints goes to `build/figures/NAME.txt`, and lines that differ from those of the last time are printed. Without names,
-all are made, which takes some eight hours on two cores. Pages are changed by hand, because their sentences may have
+all are made, which takes some ten hours. Pages are changed by hand, because their sentences may have
 to change with the figures. `make pages` records the outputs that pages show as they are, and `make bench` measures
 speed, which differs each time.
 """

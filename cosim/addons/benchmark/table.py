@@ -21,8 +21,7 @@ TABLE = "table.json"
 BUDGET = 34
 """Policies that the adversary tries for a model of the stored table."""
 ADAPTED = ("belief_graph", "beta", "beta_discounted", "median_groups", "miso_v", "prbi", "trupercept")
-"""Models of the stored table to which the adversary adapts. For one of them it takes as long as all other figures of
-ten models."""
+"""Models of the stored table to which the adversary adapts. That takes as long again as all other figures of one."""
 
 Row = dict[str, Any]
 

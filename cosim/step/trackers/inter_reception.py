@@ -50,8 +50,15 @@ class InterReceptionTracker:
         -------
         The new tracker, and the columns pir_steps, n_received, n_censored of the table `packet_inter_reception`.
         """
-        before = self.pair, self.last, self.step
-        *now, n_received, n_censored = _next(step, *before, pair, received, silent)
+        *now, n_received, n_censored = _next(
+            step,
+            self.pair,
+            self.last,
+            self.step,
+            pair,
+            received,
+            silent,
+        )
         lengths = np.flatnonzero(n_received + n_censored)
         rows = {"pir_steps": lengths, "n_received": n_received[lengths], "n_censored": n_censored[lengths]}
         return InterReceptionTracker(*now), rows
