@@ -48,7 +48,7 @@ from results.encounters import EncounterParams, check_definitions
 from sensors.evidence import AreaParams
 from sensors.lidar import LidarParams
 from sensors.statistical_detector import DetectorParams
-from sensors.tracking import TrackingParams
+from sensors.tracking.params import TrackingParams
 from sensors.weather import WeatherParams, check_weather
 from sumo_nets import catalogue, sumocfg
 from trust.params import TrustParams, differing_evidence_key

@@ -35,7 +35,7 @@ from cosim.world import World
 from results.encounters import Rows, by_variant
 from sensors.boxes import Boxes
 from sensors.scene import Shape
-from sensors.tracking import ObjectStates
+from sensors.tracking.tracks import ObjectStates
 from trust.fusion import Fused
 
 

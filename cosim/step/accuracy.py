@@ -13,7 +13,9 @@ from cosim.messages.content import SELF, SENSED, Detections, velocities
 from cosim.messages.etsi import Confidences
 from cosim.world import World
 from sensors.association import bounded
-from sensors.tracking import ObjectStates, TrackingParams, expected_speed
+from sensors.tracking.new_tracks import expected_speed
+from sensors.tracking.params import TrackingParams
+from sensors.tracking.tracks import ObjectStates
 
 SigmaOf = Callable[[ndarray, ndarray, ndarray], ndarray]
 """Standard deviations, from number of returns, class and distance."""
@@ -102,9 +104,9 @@ def stated(
     of the velocity, times the square of the time between the moment at which the sensor looked there and that of the
     sweep: objects are reported where they were at the time of the sweep. A self report has the second part alone. A
     detection without a track has the variance of the speeds of its class on the road there, as a new track has it
-    (`sensors.tracking.expected_speed`). Vehicles that attack state the same of what they fabricate, times the
-    `accuracy_factor` of their attack. A velocity that is said to be less well known than that of an object without a
-    track counts as one that is not stated.
+    (`expected_speed`). Vehicles that attack state the same of what they fabricate, times the `accuracy_factor` of
+    their attack. A velocity that is said to be less well known than that of an object without a track counts as one
+    that is not stated.
 
     Relative to the vehicle, there is the first and the last part. There, what the score says about the error counts,
     too; matching does not use it. The heading and the size of a detection have the detector's variance, those of a

@@ -26,7 +26,7 @@ from cosim.step.known import for_trust
 from cosim.step.parts import Parts
 from cosim.step.sense import Positioned
 from cosim.world import World
-from sensors.tracking import ObjectStates
+from sensors.tracking.tracks import ObjectStates
 from trust import tables
 
 

@@ -21,7 +21,8 @@ from cosim.step.positioning import as_estimated
 from cosim.step.precomputed import Precomputed
 from cosim.traffic.position_errors import PositionErrors
 from cosim.world import World
-from sensors.tracking import Found, ObjectStates, Observers, TrackMemory, track
+from sensors.tracking.track import track
+from sensors.tracking.tracks import Found, ObjectStates, Observers, TrackMemory
 
 
 def identify(

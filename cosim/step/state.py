@@ -27,7 +27,7 @@ from cosim.step.trackers.motion import LastSpeeds
 from cosim.step.tracking import ReceptionTrackers
 from cosim.traffic.position_errors import PositionErrors
 from results.encounters import EncounterTracker
-from sensors.tracking import TrackMemory
+from sensors.tracking.tracks import TrackMemory
 
 
 @dataclass(frozen=True, slots=True)

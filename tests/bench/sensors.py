@@ -22,7 +22,9 @@ from sensors.raycast import embree, mesh, open3d
 from sensors.reports import DetectorDraws
 from sensors.scene import LABEL_OF_SHAPE, Scene, Shape, prisms
 from sensors.statistical_detector import DetectorParams, resolved
-from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, track
+from sensors.tracking.params import TrackingParams
+from sensors.tracking.track import track
+from sensors.tracking.tracks import Found, Observers, TrackMemory
 from tests.bench.timing import least_s
 
 _SIZE_M = np.array(

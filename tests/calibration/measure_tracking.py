@@ -24,7 +24,10 @@ from scipy.stats import chi2
 from cosim.world import LABELS
 from results.archive import open_run
 from results.figures import style
-from sensors.tracking import Found, Observers, TrackingParams, TrackMemory, places_m, track
+from sensors.tracking.motion import places_m
+from sensors.tracking.params import TrackingParams
+from sensors.tracking.track import track
+from sensors.tracking.tracks import Found, Observers, TrackMemory
 from tests.sensors.one_track_at_a_time import StoneSoup
 
 PARAMS = TrackingParams(model="constant_velocity")

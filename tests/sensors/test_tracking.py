@@ -8,19 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from sensors import tracking
-from sensors.tracking import (
-    Found,
-    Observers,
-    TrackingParams,
-    TrackMemory,
-    Tracks,
-    expected_speed,
-    mean_motion,
-    predicted,
-    track,
-    updated,
-)
+from sensors.tracking import assignment
+from sensors.tracking.existence import existence_gain
+from sensors.tracking.motion import mean_motion, predicted, updated
+from sensors.tracking.new_tracks import expected_speed
+from sensors.tracking.params import TrackingParams
+from sensors.tracking.track import track
+from sensors.tracking.tracks import Found, Observers, TrackMemory, Tracks
 from tests.sensors.one_track_at_a_time import StoneSoup, Twin
 
 P = TrackingParams(model="constant_velocity")
@@ -166,9 +160,7 @@ def test_existence_by_hand():
     assert first.existence_p[0] == pytest.approx(1 / (1 + np.exp(-1.95)))
     _, again = track(memory, sensing([1], 1), found([1], 1, [[0.5, 0.0]], 0.0, 0.75), p)
     assert again.existence_p[0] == pytest.approx(1 / (1 + np.exp(-(1.95 + (1.38 + 1.9 * np.log(3)) / 2))))
-    assert tracking.existence_gain(np.array([0.99]), np.array([np.inf]), p) == pytest.approx(
-        1.38 + 1.9 * np.log(0.88 / 0.12)
-    )
+    assert existence_gain(np.array([0.99]), np.array([np.inf]), p) == pytest.approx(1.38 + 1.9 * np.log(0.88 / 0.12))
 
 
 def scene(seed, n_observers=6, n_objects=12, n_moments=9, together=False, most_s=0.05):
@@ -321,7 +313,7 @@ def test_used_wrongly():
 def test_many_blocks_are_assigned_as_one(monkeypatch):
     moments = scene(11, n_observers=12, n_objects=25, n_moments=4)
     whole = played(moments)[1]
-    monkeypatch.setattr(tracking, "_BLOCK_PAIRS", 7)
+    monkeypatch.setattr(assignment, "_BLOCK_PAIRS", 7)
     for a, b in zip(whole, played(moments)[1], strict=True):
         agree(a, b, 0.0)
 

@@ -7,7 +7,7 @@ from cosim.config.config import load
 from cosim.messages.content import SELF, SENSED, Detections
 from cosim.runs.simulation import Simulation
 from cosim.step.accuracy import aged
-from sensors.tracking import TrackingParams
+from sensors.tracking.params import TrackingParams
 from tests.sensors.town import boxes_at
 
 SETTINGS = ("preset=modern", "traffic.duration_s=6", "traffic.warmup_s=200", "trust.matching=gates", "attacks=[]",

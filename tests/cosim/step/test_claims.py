@@ -10,7 +10,9 @@ from cosim.config.config import resolve_data
 from cosim.messages.content import SELF, SENSED
 from cosim.step.claims import claims_of
 from cosim.step.parts import check_choices
-from sensors.tracking import ObjectStates, TrackingParams, confirmed_variance
+from sensors.tracking.new_tracks import confirmed_variance
+from sensors.tracking.params import TrackingParams
+from sensors.tracking.tracks import ObjectStates
 from tests.cosim.attacks.plain import play
 from tests.refusals import refused_in_one_line
 from tests.sensors.town import boxes_at

@@ -20,7 +20,7 @@ from sensors.association import (
     pairs_across,
 )
 from sensors.evidence import AreaParams
-from sensors.tracking import TrackingParams
+from sensors.tracking.params import TrackingParams
 from tests.cosim.attacks.plain import NAMES, play
 from tests.cosim.door.test_mistakes import returns, told
 from tests.sensors.town import boxes_at

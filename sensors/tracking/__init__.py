@@ -1,0 +1,1 @@
+"""Tracking: what each vehicle remembers of an object from one sweep to the next."""
