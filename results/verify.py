@@ -10,8 +10,9 @@ from results import inventory
 from results.columns import LEVELS, Level
 from results.inventory import CHECKPOINT, Inventory
 from results.manifest import problems, read_manifest, status_of
+from results.part_checks import content_problem, problems_of
 from results.recorder import is_state
-from results.run import ENDED, content_problem, problems_of
+from results.run import ENDED
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
