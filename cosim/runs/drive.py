@@ -94,11 +94,11 @@ class Drive:
         keep_freed_memory()
         give_back_freed_memory()  # memory that reading the city took
         c, perception = self.parts.config, self.parts.perception
-        has_room = isinstance(perception, Perception) and c.compute.threads != 1 and CORES > 1
-        if c.driver.model != "none" or not has_room:
+        has_core = c.compute.threads != 1 and CORES > 1
+        if c.driver.model != "none" or not has_core or not isinstance(perception, Perception):
             self._run(None, None)  # the next world depends on the present step, or there is no second core
             return
-        with Ahead(self.parts) as ahead, ThreadPoolExecutor(1, "record") as recording_thread:
+        with Ahead(self.parts, perception) as ahead, ThreadPoolExecutor(1, "record") as recording_thread:
             self.manifest.timings_ahead_s = ahead.watch.seconds
             self._run(ahead, recording_thread)
             ahead.watch.add(self._watch, 1)

@@ -3,6 +3,7 @@
 It also answers what a sweep says about boxes that other vehicles report.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -144,6 +145,11 @@ class Perceives(Protocol):
         ...
 
 
+RangeSteps = UInt16[ndarray, "n a e"] | None
+_SMALL_BYTES = 64 << 20
+"""Range images of up to this size leave those of the step before as they are."""
+
+
 @dataclass(slots=True)
 class Perception:
     """LiDAR, evidence and detector of all equipped vehicles.
@@ -160,8 +166,8 @@ class Perception:
     seed: int
     dt_s: float
     weather: WeatherParams = CLEAR
-    _range_steps: UInt16[ndarray, "n a e"] | None = field(default=None, repr=False)
-    """Memory of the range images; every step overwrites it."""
+    _range_steps: tuple[RangeSteps, RangeSteps] = field(default=(None, None), repr=False)
+    """Memory of the range images: of the step before the last one, and of the last one."""
     _groups: list[SweepMemory] = field(default_factory=list, repr=False)
     """Memory of the other arrays in the sweeps of a group of observers, one item per thread."""
 
@@ -175,10 +181,11 @@ class Perception:
         self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch
     ) -> tuple[lidar.RangeImages, list[Seen]]:
         """Range images of the vehicles in these rows of the world, and what groups of them saw."""
-        beams = lidar.beams(self.lidar)
-        size = (len(observers), len(beams.azimuth_rad), len(beams.elevation_rad))
-        range_steps = lidar.buffer(size, np.uint16, self._range_steps)
-        self._range_steps = range_steps
+        before, last = self._range_steps
+        keeps_last = self.keeps_last(len(observers))
+        size = self._size(len(observers))
+        range_steps = lidar.buffer(size, np.uint16, before if keeps_last else last)
+        self._range_steps = (last if keeps_last else None), range_steps
         with watch("sweep"):
             poses = lidar.mount(world.boxes, observers, self.lidar)
             near = neighbours(poses.origin_m, world.boxes, self.lidar.max_range_m)
@@ -210,12 +217,24 @@ class Perception:
             poses=poses,
             observers=observers,
             ground_m=lidar.height_of_road_m(world.boxes, observers),
-            beams=beams,
+            beams=lidar.beams(self.lidar),
             max_range_m=self.lidar.max_range_m,
             range_steps=range_steps,
             step_m=lidar.step_of(self.lidar),
         )
         return images, [here for here, _ in found]
+
+    def _size(self, n_observers: int) -> tuple[int, int, int]:
+        """Shape of the range images of so many observers."""
+        beams = lidar.beams(self.lidar)
+        return n_observers, len(beams.azimuth_rad), len(beams.elevation_rad)
+
+    def keeps_last(self, n_observers: int) -> bool:
+        """Whether sweeps of so many observers leave the range images of the step before as they are.
+
+        Those of a large fleet are written over them, because they are large.
+        """
+        return 2 * math.prod(self._size(n_observers)) <= _SMALL_BYTES
 
     def answers(self, sweeps: lidar.RangeImages, asked: BoxQuestions) -> BoxAnswers:
         """As in `Perceives`."""

@@ -2,9 +2,10 @@
 
 Sweeps, radio links and near pairs depend on positions and on random draws with keys from names. They do not depend on
 earlier steps. If no driver commands the traffic, the next world is known early. The second thread then computes the
-radio links and near pairs of the next world while the present step sends, evaluates and records. It begins with the
-sweeps when the present step has read its own range images for the last time, because both use the same memory.
-Compiled kernels run in parallel with Python code (`nogil`).
+radio links and near pairs of the next world while the present step sends, evaluates and records. Range images of many
+vehicles are large. There is one memory for them, so the sweeps of the next world begin when the present step has read
+its own images for the last time. Those of few vehicles begin at once. Compiled kernels run in parallel with Python code
+(`nogil`).
 
 The step gets these values as `cosim.step.precomputed.Precomputed`. A step of another world computes all of them itself.
 The values do not depend on the order in which the threads run.
@@ -26,7 +27,7 @@ from cosim.radio.medium import LinksAhead
 from cosim.radio.message_round import Stations
 from cosim.step.exchange import stations_of
 from cosim.step.parts import Parts
-from cosim.step.perception import Observed
+from cosim.step.perception import Observed, Perception
 from cosim.step.precomputed import Precomputed
 from cosim.step.stopwatch import Stopwatch
 from cosim.step.trackers.encounters import NearPairs
@@ -49,17 +50,18 @@ class Ahead:
     `expect` names the next world, and `of` returns what has been computed for a world. Only one thread may use it.
     """
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: Parts, perception: Perception) -> None:
         self.watch = Stopwatch()
         """Seconds per stage that this thread has computed ahead."""
         self._parts = parts
+        self._perception = perception
         self._thread = ThreadPoolExecutor(1, "ahead")
         self._begun: list[_Begun] = []
         """For the present step and the expected one at most."""
         self._to_sense: World | None = None
         """The expected world, if its sweeps have not begun."""
-        self._sensing: tuple[World, Future[Observed]] | None = None
-        """The world whose sweeps have begun. There is one, because there is one memory for range images."""
+        self._sensing: list[tuple[World, Future[Observed]]] = []
+        """Worlds whose sweeps have begun: the present one, and the expected one."""
 
     def expect(self, world: World, at_once: bool) -> None:
         """Begin to compute for the world of the next step with messages.
@@ -70,7 +72,7 @@ class Ahead:
             The next world with messages.
         at_once
             Begin its sweeps now, because the present step senses nothing. Otherwise they begin when the present step
-            has read its own range images.
+            has read its own range images, unless these have a memory of their own.
         """
         if not world.equipped.any():
             return
@@ -82,7 +84,7 @@ class Ahead:
                 links = self._thread.submit(self._links, medium, self._stations(world), self._senders(world))
             near_pairs = self._thread.submit(self._near_pairs, world)
             self._begun = [*self._begun[-1:], _Begun(world, near_pairs, links)]
-        if at_once:
+        if at_once or (self._sensing and self._perception.keeps_last(len(self._parts.sensing(world)))):
             self._begin_sensing()
 
     def of(self, world: World) -> Precomputed:
@@ -91,7 +93,7 @@ class Ahead:
         links = None if found is None else found.links
         return Precomputed(
             near_pairs=None if found is None else found.near_pairs.result,
-            observed=None if self._sensing is None else partial(self._observed, world, self._sensing),
+            observed=partial(self._observed, world) if self._sensing else None,
             with_links=None if links is None else partial(_with_links, links),
             sweeps_are_read=self._begin_sensing,
         )
@@ -100,16 +102,18 @@ class Ahead:
         """Begin the sweeps of the expected world, if they have not begun."""
         if self._to_sense is not None:
             world, self._to_sense = self._to_sense, None
-            self._sensing = world, self._thread.submit(self._sense, world, n_threads())
+            self._sensing.append((world, self._thread.submit(self._sense, world, n_threads())))
 
-    def _observed(self, world: World, sensing: tuple[World, Future[Observed]]) -> Observed:
-        """What vehicles perceive, when their sweeps are complete. Sweeps of another world are dropped."""
-        self._sensing = None
-        expected, found = sensing
-        observed = found.result()
-        if expected is world:
-            return observed
-        return self._parts.perception(world, self._parts.sensing(world), self._parts.watch)
+    def _observed(self, world: World) -> Observed:
+        """What vehicles perceive, when their sweeps are complete."""
+        for number, (expected, observed) in enumerate(self._sensing):
+            if expected is world:
+                del self._sensing[: number + 1]
+                return observed.result()
+        for _, other in self._sensing:  # of other worlds, in the same memory
+            other.result()
+        self._sensing.clear()
+        return self._perception(world, self._parts.sensing(world), self._parts.watch)
 
     def _stations(self, world: World) -> Stations:
         above_roof_m = self._parts.config.radio.antenna_above_roof_m
@@ -117,7 +121,7 @@ class Ahead:
 
     def _sense(self, world: World, n: int) -> Observed:
         use_threads(n)
-        return self._parts.perception(world, self._parts.sensing(world), self.watch)
+        return self._perception(world, self._parts.sensing(world), self.watch)
 
     def _near_pairs(self, world: World) -> NearPairs:
         with self.watch("pairs"):

@@ -1,10 +1,12 @@
 """What is computed ahead of its step is what the step would have computed itself."""
 
+import numpy as np
 import pytest
 
 from cosim.addons.compare.scenarios import ScriptedScene
 from cosim.base.threads import CORES, n_threads, use_threads
 from cosim.runs.speed.ahead import Ahead
+from cosim.step import perception
 from cosim.step.cycle import step
 from cosim.step.state import State
 from tests.drive import drive
@@ -46,7 +48,7 @@ def test_each_world_is_sensed_whichever_was_expected(expected, at_once, threads)
     scene = ScriptedScene.load()
     parts, found = parts_of(scene, CSMA), []
     worlds = [scene.world(number) for number in range(N + 2)]
-    with Ahead(parts) as ahead:
+    with Ahead(parts, parts.perception) as ahead:
         state = State.start(parts)
         for number in range(N):
             if expected and not at_once:
@@ -68,9 +70,31 @@ def test_what_is_expected_before_the_present_step_has_asked_is_found_once(thread
     scene, asked = ScriptedScene.load(), []
     worlds = [scene.world(number) for number in range(3)]
     parts = parts_of(scene, near_pairs=lambda world: asked.append(world.step) or world.step)
-    with Ahead(parts) as ahead:
+    with Ahead(parts, parts.perception) as ahead:
         for world in worlds[:2]:
             ahead.expect(world, at_once=False)
         assert [ahead.of(world).near_pairs() for world in worlds[:2]] == [0, 1]
         assert ahead.of(worlds[2]).near_pairs is None, "it was not expected"
     assert asked == [0, 1]
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_sweeps_begin_before_the_present_ones_are_read_if_these_stay(monkeypatch, small):
+    """Images of a few vehicles are kept until the step after the next one; those of many are written over."""
+    if not small:
+        monkeypatch.setattr(perception, "_SMALL_BYTES", 0)
+    scene = ScriptedScene.load()
+    parts, worlds = parts_of(scene), [scene.world(number) for number in range(3)]
+    with Ahead(parts, parts.perception) as ahead:
+        ahead.expect(worlds[0], at_once=True)
+        ahead.expect(worlds[1], at_once=False)
+        present = ahead.of(worlds[0])
+        images = present.observed().sweeps.range_steps
+        images[:] = 0  # as if they had been read
+        if not small:
+            present.sweeps_are_read()
+        after = ahead.of(worlds[1]).observed().sweeps.range_steps
+        assert np.shares_memory(images, after) != small
+        assert images.any() != small
+        ahead.expect(worlds[2], at_once=True)
+        assert np.shares_memory(images, ahead.of(worlds[2]).observed().sweeps.range_steps), "two are enough"
