@@ -77,7 +77,7 @@ class FlowCounts:
         self.n_steps += 1
         self.n_vehicles += n_vehicles
         self.n_pedestrians += int(np.count_nonzero(~is_vehicle))
-        self.n_standing += int(np.count_nonzero(is_vehicle & (world.speed_mps < STANDING_MPS)))
+        self.n_standing += int(np.count_nonzero(is_vehicle & (np.abs(world.speed_mps) < STANDING_MPS)))
         if self._before is not None:
             self.n_jumping += len(jumping(self._before, world, self.dt_s))
         self._before = world
@@ -268,6 +268,11 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
         found.append(
             f"note: vehicles of the trace move {ratio:.2g} times as far as their speeds say. Are positions in metres, "
             "times in seconds and speeds in m/s?"
+        )
+    if share := summary.get("trace_aside_p"):
+        found.append(
+            f"note: in {share:.0%} of their moves, vehicles of the trace do not go to where their angles point. Are "
+            "angles in degrees, clockwise from north? Correct them, or leave them out: `cosim trace` does without."
         )
     if share := summary.get("trace_far_from_lanes_p"):
         found.append(

@@ -177,6 +177,9 @@ class TraceReplay(_Replay):
         ratio = self._travel.odd_ratio
         if ratio is not None:
             report["trace_travel_ratio"] = round(ratio, 4)
+        aside_p = self._travel.aside_p
+        if aside_p is not None:
+            report["trace_aside_p"] = round(aside_p, 3)
         report |= _far_from_lanes(self._lanes)
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 

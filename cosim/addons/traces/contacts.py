@@ -285,7 +285,7 @@ class _Extent:
             xy_m = world.boxes.xyz_m[moving, :2]
             self.low_m = np.minimum(self.low_m, xy_m.min(axis=0))
             self.high_m = np.maximum(self.high_m, xy_m.max(axis=0))
-            tenths = np.rint(world.speed_mps[moving] * 10)
+            tenths = np.rint(np.abs(world.speed_mps[moving]) * 10)
             code = np.clip(tenths, 0, 1000).astype(np.int64)
             self.n_of_speed += np.bincount(code, minlength=1001)
 

@@ -197,6 +197,42 @@ def test_feet_are_noted(tmp_path):
     assert replay(write(tmp_path, rows))[1]["trace_travel_ratio"] == pytest.approx(3.28, abs=0.01)
 
 
+@pytest.mark.parametrize(("unit_mps", "ratio"), [(0.44704, 0.447), (0.514444, 0.514)], ids=["mph", "knots"])
+def test_speeds_in_miles_per_hour_or_knots_are_noted(tmp_path, unit_mps, ratio):
+    rows = [(*row, speed / unit_mps) for *row, speed in file_of_cars(range(12))]
+    assert replay(write(tmp_path, rows))[1]["trace_travel_ratio"] == pytest.approx(ratio, abs=0.001)
+
+
+def crossing(angle_of):
+    """Cars that drive east, north, west and south at 10 m/s; `angle_of` says the angle of a direction, 0 for east."""
+    rows = []
+    for t in range(12):
+        for way, (east, north) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
+            x, y = 20 * way + 10 * t * east, 20 * way + 10 * t * north
+            rows.append((t, f"c{way}", x, y, angle_of(90 * way), "car", 10.0))
+    return rows
+
+
+def test_angles_that_are_not_clockwise_from_north_in_degrees_are_noted(tmp_path):
+    said = {}
+    for name, angle_of in {
+        "compass": lambda deg: (90 - deg) % 360,
+        "from east": lambda deg: deg,
+        "radians": lambda deg: np.deg2rad((90 - deg) % 360),
+        "to the rear": lambda deg: (270 - deg) % 360,
+    }.items():
+        said[name] = replay(write(tmp_path, crossing(angle_of)))[1].get("trace_aside_p")
+    # In radians, angles are near 0: three of the four do not go north.
+    assert said == {"compass": None, "from east": 1.0, "radians": 0.75, "to the rear": 1.0}
+    (note,) = trace_remarks({"trace_aside_p": 0.75})
+    assert "75%" in note and "clockwise from north" in note
+
+
+def test_who_reverses_does_not_stand(tmp_path):
+    rows = [(*row, -speed) for *row, speed in file_of_cars(range(12))]
+    assert replay(write(tmp_path, rows))[1]["vehicles_standing_p"] == 0.0
+
+
 def test_mesoscopic_traffic_and_a_single_leap_are_no_other_units(tmp_path):
     """Vehicles of SUMO's mesoscopic model stand at the begin of a segment and then leap; the mean way is right."""
     meso = [(t, n, 50 * (x // 50), y, *rest) for t, n, x, y, *rest in file_of_cars(range(30))]
