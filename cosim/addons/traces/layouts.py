@@ -105,6 +105,8 @@ _DIRECTIONS = ("heading", "yaw", "angle", "psi", "course", "bearing")
 """Beginnings of the names of columns with directions, which are not read."""
 _HEIGHTS = ("z", "alt", "altitude", "elevation")
 """First words of the names of columns with heights above sea or ground, which are not read either."""
+_SIZES = {"length", "width", "height"}
+"""Words of the names of columns with sizes. `length` and `width` are read, also with a unit, such as `length_m`."""
 _KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
 """Columns with classes, if a table has one of them and none is named."""
 _NGSIM_CLASS = {"1": "motorcycle", "2": "car", "3": "truck"}
@@ -246,6 +248,9 @@ def rows_of_file(
         read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
+    used = {*columns.size, *(columns.corner or ())}
+    if sizes := [name for name in names if name not in used and not _SIZES.isdisjoint(units.words(name))]:
+        read_as.append(f"{', '.join(sizes)} not read: such a size is that of the class")
     return FileRows(
         actors=actors,
         time_s=time_s,
@@ -263,11 +268,10 @@ def rows_of_file(
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
     """The columns with those of classes and sizes that the table has, where none is named."""
     kinds = [name for name in (columns.kind, *_KINDS) if name in names]
-    length, width = columns.size if set(columns.size) <= set(names) else ("length", "width")
-    if length not in names:
-        length = width = ""
-    elif width not in names:
-        width = ""
+    length, width = columns.size
+    if not {length, width} <= set(names):
+        length = units.of_size("length", names)
+        width = units.of_size("width", names) if length else ""
     repeat = columns.repeat if columns.repeat in names else ""
     site = columns.site if columns.site in names else ""
     return replace(columns, kind=kinds[0] if kinds else "", size=(length, width), repeat=repeat, site=site)
@@ -315,7 +319,7 @@ def _kinds_and_sizes(
         lw_m = np.full((len(actors), 2), np.nan)
         for axis, name in enumerate(columns.size):
             if name:
-                lw_m[:, axis] = unit_m * delimited.numbers(path, name, table.column(name))
+                lw_m[:, axis] = units.size_unit(name, unit_m) * delimited.numbers(path, name, table.column(name))
     named = _META.match(path.name)
     meta = path.with_name(f"{named[1]}_tracksMeta.csv") if named else path
     if kinds is None and named and meta.is_file():

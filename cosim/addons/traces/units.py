@@ -1,6 +1,7 @@
 """Units of tables of positions: what names of columns, sizes of numbers and a column of speeds say of them."""
 
 import re
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -27,10 +28,16 @@ _TIME_WORDS = {
     "nanoseconds": "ns",
     "nanos": "ns",
     "min": "min",
+    "mins": "min",
+    "minute": "min",
     "minutes": "min",
+    "h": "h",
+    "hr": "h",
+    "hour": "h",
     "hours": "h",
 }
 _LENGTH_WORDS = {"m": "m", "metres": "m", "meters": "m", "ft": "ft", "feet": "ft", "km": "km", "cm": "cm", "mm": "mm"}
+_OTHER_LENGTHS = {"px", "pixel", "pixels", "mi", "mile", "miles", "yd", "yard", "yards", "inch", "inches"}
 _NGSIM_FEET = {"local_x", "local_y", "global_x", "global_y"}
 _SINCE_1970 = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 """A time that is larger than this is in this unit since 1970: as seconds, it would be after the year 5000."""
@@ -85,11 +92,31 @@ def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
     if {x.lower(), y.lower()} <= _NGSIM_FEET:
         return LENGTH_M["ft"], f"positions in ft, as those of NGSIM in {x} and {y}"
     later_words = words(x)[1:] + words(y)[1:]
+    if other := sorted(_OTHER_LENGTHS.intersection(later_words)):
+        raise ValueError(
+            f"the columns {x} and {y} are named as {other[0]}, which is not read. Turn them into metres, or set "
+            "--length-unit if they are something else."
+        )
     found = {_LENGTH_WORDS[word] for word in later_words if word in _LENGTH_WORDS}
     if len(found) > 1:
         raise ValueError(f"the columns {x} and {y} are named as {' and '.join(sorted(found))}. Set --length-unit.")
     unit = next(iter(found), "m")
     return LENGTH_M[unit], "" if unit == "m" else f"positions, lengths and widths in {unit}, as the column {x} says"
+
+
+def size_unit(name: str, positions_m: float) -> float:
+    """Metres per unit of a column of sizes: as its name says, and otherwise as positions."""
+    said = (LENGTH_M[_LENGTH_WORDS[word]] for word in words(name)[1:] if word in _LENGTH_WORDS)
+    return next(said, positions_m)
+
+
+def of_size(what: str, names: Sequence[str]) -> str:
+    """The column that is named as this size, or as it and its unit, such as `length_m`; empty if none is."""
+    for name in names:
+        size, *unit = words(name) or [""]
+        if size == what and len(unit) <= 1 and _LENGTH_WORDS.keys() >= set(unit):
+            return name
+    return ""
 
 
 def degrees_by_name(*names: str) -> str:

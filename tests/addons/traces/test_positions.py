@@ -316,6 +316,32 @@ def test_what_is_read_otherwise_than_one_may_think_is_said(tmp_path):
     assert fixes.read_as == ("train as cars here; a run leaves them out, because they are not on the road",)
 
 
+def test_positions_in_pixels_or_miles_are_refused(tmp_path):
+    for unit in ("px", "pixel", "miles"):
+        x, y = f"x_{unit}", f"y_{unit}"
+        text = f"id,time,{x},{y}\na,0,0,0\na,1,9,0\n"
+        named = PositionColumns("id", "time", x, y)
+        with pytest.raises(TrafficError, match=rf"named as {unit}, which is not read\. Turn them into metres"):
+            given(tmp_path, "t.csv", text, columns=named)
+        assert given(tmp_path, "t.csv", text, columns=named, length_unit_m=0.1).xy_m[1, 0] == pytest.approx(0.9)
+
+
+def test_columns_of_sizes_may_say_their_unit_and_others_are_named(tmp_path):
+    """Names of cosim's own tables; sizes in metres beside positions in feet; no height is read."""
+    text = "id,time,x_ft,y_ft,length_m,width_cm,height_m\na,0,0,0,14,250,3.8\na,1,30,0,14,250,3.8\n"
+    fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time", "x_ft", "y_ft"))
+    assert fixes.types[0].lwh_m == pytest.approx((14, 2.5, 1.5))
+    assert "height_m not read: such a size is that of the class" in fixes.read_as
+    fixes = given(tmp_path, "n.csv", "id,time,x,y,vehicle_length,width\na,0,0,0,14,2.5\n")
+    assert fixes.read_as == ("vehicle_length, width not read: such a size is that of the class",)
+
+
+def test_hours_by_the_name_of_a_column(tmp_path):
+    text = "id,time_h,x,y\na,0,0,0\na,0.0005,18,0\n"
+    fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_h", "x", "y"))
+    assert fixes.time_s[1] == pytest.approx(1.8)
+
+
 def test_nanoseconds_since_1970_are_read_from_integers(tmp_path):
     begin = 1_700_000_000_000_000_001
     rows = {"id": ["a", "a"], "time": [begin, begin + 500_000_000], "x": [0.0, 5.0], "y": [0.0, 0.0]}
