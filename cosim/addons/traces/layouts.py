@@ -107,8 +107,9 @@ _HEIGHTS = ("z", "alt", "altitude", "elevation")
 """First words of the names of columns with heights above sea or ground, which are not read either."""
 _SIZES = {"length", "width", "height"}
 """Words of the names of columns with sizes. `length` and `width` are read, also with a unit, such as `length_m`."""
-_KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "category")
-"""Columns with classes, if a table has one of them and none is named."""
+_KINDS = ("class", "type", "vehicle_class", "vehicle_type", "agent_type", "object_type", "object_class", "category")
+"""Columns with classes, in any case, if a table has one of them and none is named."""
+_KIND_WORDS = {"class", "type", "category"}
 _NGSIM_CLASS = {"1": "motorcycle", "2": "car", "3": "truck"}
 _POINT = r"POINT\s*\(\s*(?P<lat>[-+0-9.eE]+)\s+(?P<lon>[-+0-9.eE]+)\s*\)"
 _CRAWDAD = re.compile(r"^[^;]+;[^;]+;\s*" + _POINT.replace("?P<lat>", "").replace("?P<lon>", "") + r"\s*$")
@@ -243,9 +244,11 @@ def rows_of_file(
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
     if kinds is None and layout in ("highd", "ind"):
         read_as.append("no tracksMeta file beside it says the classes: all are cars")
+    if not columns.kind and (unread := [name for name in names if not _KIND_WORDS.isdisjoint(units.words(name))]):
+        read_as.append(f"{', '.join(unread)} not read: all are cars. A column of classes is named class")
     speed = units.speeds(path, table)
-    if unread := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
-        read_as.append(f"{', '.join(unread)} not read: actors look where they go, and north before they move")
+    if turned := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
+        read_as.append(f"{', '.join(turned)} not read: actors look where they go, and north before they move")
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
     used = {*columns.size, *(columns.corner or ())}
@@ -267,7 +270,8 @@ def rows_of_file(
 
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
     """The columns with those of classes and sizes that the table has, where none is named."""
-    kinds = [name for name in (columns.kind, *_KINDS) if name in names]
+    of = {name.lower(): name for name in names} | {name: name for name in names}
+    kinds = [of[name] for name in (columns.kind, *_KINDS) if name in of]
     length, width = columns.size
     if not {length, width} <= set(names):
         length = units.of_size("length", names)

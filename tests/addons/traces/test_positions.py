@@ -336,6 +336,15 @@ def test_columns_of_sizes_may_say_their_unit_and_others_are_named(tmp_path):
     assert fixes.read_as == ("vehicle_length, width not read: such a size is that of the class",)
 
 
+def test_a_column_of_classes_is_read_or_named(tmp_path):
+    """Argoverse 2 calls it object_type."""
+    for name in ("object_type", "Class"):
+        fixes = given(tmp_path, "t.csv", f"id,time,x,y,{name}\na,0,0,0,bus\nb,0,9,0,pedestrian\n")
+        assert fixes.kinds == ["bus", "pedestrian"] and fixes.read_as == ()
+    fixes = given(tmp_path, "o.csv", "id,time,x,y,road_user_category\na,0,0,0,bus\n")
+    assert fixes.read_as == ("road_user_category not read: all are cars. A column of classes is named class",)
+
+
 def test_hours_by_the_name_of_a_column(tmp_path):
     text = "id,time_h,x,y\na,0,0,0\na,0.0005,18,0\n"
     fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_h", "x", "y"))
