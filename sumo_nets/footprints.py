@@ -19,7 +19,7 @@ from numpy import ndarray
 from shapely import Polygon
 
 from sumo_nets import sumotools
-from sumo_nets.heights import height_of
+from sumo_nets.heights import height_of, stands
 from sumo_nets.sumotools import Ring
 from sumo_nets.xml import Attributes, stream
 
@@ -66,9 +66,10 @@ def read_polygons(
     """Buildings of a SUMO polygon file (.poly.xml, gzip'ed or not), in the file's order, and the others by type.
 
     Polygons count as buildings if their type starts with "building" or they carry a `building` or
-    `building:part` parameter. Heights come from `base_z_m` and `top_z_m`, else from OpenStreetMap's tags
-    (`height`, `building:levels`, ...), else from the kind and size of the building. Rings that cross
-    themselves are repaired; where that yields several pieces, each is a footprint; those without area are left out.
+    `building:part` parameter, unless these say that it is gone, planned or underground. Heights come from `base_z_m`
+    and `top_z_m`, else from OpenStreetMap's tags (`height`, `building:levels`, ...), else from the kind and size of
+    the building. Rings that cross themselves are repaired; where that yields several pieces, each is a footprint;
+    those without area are left out.
     Longitudes and latitudes (`geo="true"`) are projected as the network of `net_path` is.
 
     Raises
@@ -92,11 +93,12 @@ def read_polygons(
         nonlocal poly
         if name == "poly" and poly is not None:
             kind = poly.get("type", "")
-            if kind.lower().startswith("building") or "building" in params or "building:part" in params:
+            tags = _tags(kind, params)
+            if stands(tags):
                 found.append((poly, params))
             else:
                 n, n_high = others.get(kind, (0, 0))
-                is_high = not _HEIGHTS.isdisjoint(params)
+                is_high = "building" not in tags and not _HEIGHTS.isdisjoint(params)
                 others[kind] = OtherPolygons(n + 1, n_high + is_high)
             poly = None
 
@@ -214,11 +216,17 @@ def _footprints(
     return made
 
 
+def _tags(kind: str, params: Attributes) -> Attributes:
+    """OpenStreetMap's tags of a polygon: its parameters, and the kind of building that its type says."""
+    kind = kind.lower()
+    if not kind.startswith("building"):
+        return params
+    return {"building": kind.removeprefix("building").lstrip(".") or "yes"} | params
+
+
 def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float, str]:
     """Base and top of a building [m], and where its height comes from."""
-    tags = dict(params)
-    tags.setdefault("building", poly.get("type", "").lower().removeprefix("building").lstrip(".") or "yes")
-    height = height_of(tags, area_m2)
+    height = height_of(_tags(poly.get("type", ""), params), area_m2)
     base = _metres(params.get("base_z_m"), height.base_z_m, where)
     top = _metres(params.get("top_z_m"), height.top_z_m, where)
     if not 0.0 <= base < top:

@@ -91,6 +91,7 @@ _BY_KIND_M: dict[str, float] = {
 }
 OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
 """Kinds that stand on posts."""
+_NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 
 class Height(NamedTuple):
@@ -127,6 +128,16 @@ def height_of(tags: Mapping[str, str], area_m2: float) -> Height:
         base = min(CLEARANCE_M, top - 1.0)
     base = max(base, 0.0)
     return Height(base, max(top, base + 1.0), source)
+
+
+def stands(tags: Mapping[str, str]) -> bool:
+    """Whether the tags are those of a building, or of a part of one, that exists and is above the ground."""
+    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
+        return False
+    is_above = not {"height", "building:height", "roof:levels"}.isdisjoint(tags) or tags.get("building") in OPEN_BELOW
+    if tags.get("building:levels") == "0" and not is_above:
+        return False  # entirely below ground
+    return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 
 
 def _storeys(tags: Mapping[str, str]) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely import Polygon, box
 
-from sumo_nets.footprints import footprint_of, pieces_of, read_footprints, write_footprints
+from sumo_nets.footprints import footprint_of, pieces_of, read_footprints, read_polygons, write_footprints
 from sumo_nets.ground import standing_on
 from sumo_nets.heights import height_of, number
 from sumo_nets.network import lanes
@@ -48,6 +48,25 @@ def test_openstreetmap_tags_of_a_stranger_give_heights(tmp_path):
     found = [(f.base_z_m, f.top_z_m) for f in read_footprints(path)]
     # 4 storeys x 3.5 m; 100 m² without a tag: a small house; a church without a height: 25 m
     assert found == [(0.0, 12.5), (0.0, 14.0), (0.0, 7.0), (6.0, 20.0), (0.0, 25.0)]
+
+
+def test_what_is_gone_planned_or_underground_is_no_building(tmp_path):
+    def poly(kind, *tags):
+        params = "".join(f'<param key="{key}" value="{value}"/>' for key, value in tags)
+        return f'<poly id="a" type="{kind}" shape="{SQUARE}">{params}</poly>'
+
+    path = polys(
+        tmp_path,
+        poly("building", ("building", "no"), ("height", "9")),
+        poly("building.demolished"),
+        poly("landuse", ("building", "proposed")),
+        poly("building", ("location", "underground"), ("building:levels", "2")),
+        poly("building.parking", ("layer", "-1")),
+        poly("landuse", ("building:part", "roof"), ("height", "9")),
+    )
+    found, others = read_polygons(path, None)
+    assert [(f.base_z_m, f.top_z_m) for f in found] == [(4.5, 9.0)]  # the part, a roof on posts
+    assert sum(of.n for of in others.values()) == 5 and not any(of.n_high for of in others.values())
 
 
 def test_a_ring_that_crosses_itself_becomes_its_valid_pieces(tmp_path):

@@ -11,7 +11,7 @@ from shapely import Polygon
 
 from sumo_nets.footprints import Footprint, footprint_of, pieces_of
 from sumo_nets.ground import Ground
-from sumo_nets.heights import CLEARANCE_M, OPEN_BELOW, Height, height_of
+from sumo_nets.heights import CLEARANCE_M, Height, height_of, stands
 from sumo_nets.osm import Extract, Tags, Way
 from sumo_nets.sumotools import Ring
 
@@ -19,7 +19,6 @@ SIMPLIFY_M = 0.15
 """Largest displacement of a wall by simplification [m]."""
 PASSAGE_M2 = 25.0
 """A building that covers more carriageway than this bridges it; less is a drawing error and cut off [m²]."""
-_NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 Solid = tuple[str, shapely.Geometry, Height]
 
@@ -46,12 +45,12 @@ def rings_of(extract: Extract) -> Rings:
     found: Rings = {}
     for way in extract.ways.values():
         is_closed = way.nodes and way.nodes[0] == way.nodes[-1]
-        if is_closed and _is_building(way.tags):
+        if is_closed and stands(way.tags):
             ring = [node for node in way.nodes[:-1] if node in extract.place]
             if len(ring) > 2:
                 found[f"w{way.id}"] = ([ring], [], way.tags)
     for relation in extract.relations.values():
-        if relation.tags.get("type") != "multipolygon" or not _is_building(relation.tags):
+        if relation.tags.get("type") != "multipolygon" or not stands(relation.tags):
             continue
         chains: dict[bool, Chains] = {True: [], False: []}
         parts = []  # outer ways that are parts of this building, not another copy of it
@@ -103,15 +102,6 @@ def build(
         shape[name] = whole.difference(shapely.union_all(shells[name, False]))
     tags = {name: rings[name][2] for name in shape}
     return _standing(_refined(shape, tags), ground)
-
-
-def _is_building(tags: Tags) -> bool:
-    if tags.get("location") == "underground" or tags.get("layer", "0").startswith("-"):
-        return False
-    is_above = not {"height", "building:height", "roof:levels"}.isdisjoint(tags) or tags.get("building") in OPEN_BELOW
-    if tags.get("building:levels") == "0" and not is_above:
-        return False  # entirely below ground
-    return not {tags.get("building", "no"), tags.get("building:part", "no")} <= _NO_MORE
 
 
 def _is_part(tags: Tags) -> bool:
