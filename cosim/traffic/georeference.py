@@ -49,12 +49,16 @@ class NetLocation:
     path: Path | None = None
     """File of the network."""
 
-    def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
-        """Share of positions within the bounds."""
+    def has(self, xy_m: Float[ndarray, "n 2"]) -> Bool[ndarray, "n"]:
+        """Whether each position is within the bounds."""
         west, south, east, north = self.bounds_m
         low = np.array([west, south]) - _MARGIN_M
         high = np.array([east, north]) + _MARGIN_M
-        return float(((low <= xy_m) & (xy_m <= high)).all(axis=1).mean())
+        return ((low <= xy_m) & (xy_m <= high)).all(axis=1)
+
+    def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
+        """Share of positions within the bounds."""
+        return float(self.has(xy_m).mean())
 
 
 def conversion(
@@ -105,11 +109,16 @@ def conversion(
 
         return placed, "longitudes and latitudes, placed by the projection of the network"
     offset_m = np.array([*net.offset_m, 0.0])
+    is_person = np.concatenate([timestep.is_person for timestep in timesteps])
+    xy = xy if is_person.all() else xy[~is_person]
     is_elsewhere = offset_m.any() and net.holds(xy) < _HALF_P
     if is_elsewhere and net.holds(xy + offset_m[:2]) > _MOST_P:
 
         def shifted(timestep: Timestep) -> Timestep:
-            return replace(timestep, front_m=timestep.front_m + offset_m)
+            # SUMO 1.28 writes vehicles in coordinates of the map, and persons in those of the network.
+            is_there = timestep.is_person & net.has(timestep.front_m[:, :2])
+            front_m = timestep.front_m + np.where(is_there[:, None], 0.0, offset_m)
+            return replace(timestep, front_m=np.round(front_m, 6))  # who rides is at the exact place of the vehicle
 
         said = "coordinates of the map before the network's offset (SUMO's --fcd-output.utm); the offset is added"
         return shifted, said

@@ -127,6 +127,13 @@ def test_degrees_and_map_coordinates_become_the_networks(tmp_path):
     utm = [(t, n, x + 386_000, y + 6_672_000, *rest) for t, n, x, y, *rest in rows]
     there, report, _ = replay(write(tmp_path, utm), net=NET)
     assert there == plain and "--fcd-output.utm" in report["trace_placed"]
+    # SUMO 1.28 leaves persons in the network's coordinates: one walks, and one rides in c1.
+    persons = [(t, "p", 50.0 + t, 9.0, 90.0, "walker", 1.0) for t in range(12)]
+    persons += [(t, "r", 130.0 + 10 * t, 5.0, 90.0, "walker", 10.0) for t in range(12)]
+    for cars in (rows, utm):
+        there, _, _ = replay(write(tmp_path, [*cars, *persons]), net=NET)
+        assert [set(world) for world in there[1:]] == [{"p", *plain[1]}] * 12
+        assert there[12]["p"] == pytest.approx(61.0, abs=0.01)
     places = MAP.of_world(np.array([row[2:4] for row in rows]))
     geo = [
         (t, n, lon, lat, *rest)
