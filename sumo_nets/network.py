@@ -311,6 +311,32 @@ def location(net_path: Path | str) -> Location:
     return found[0] if found else ("!", (0.0, 0.0))
 
 
+def stretch(net_path: Path | str) -> float | None:
+    """How many times as long as on Earth everything in a network is; None without a projection of degrees.
+
+    It compares the two bounds of the network, in its coordinates and in degrees, whichever way is less. Those in
+    degrees may be larger, because they hold what netconvert removed.
+    """
+    bounds: dict[str, list[float]] = {}
+
+    def start(name: str, attributes: Attributes) -> None:
+        if name == "location" and attributes.get("projParameter", "!") != "!":
+            for key in ("convBoundary", "origBoundary"):
+                bounds[key] = [float(value) for value in attributes.get(key, "").split(",") if value]
+        if name != "net":
+            raise Enough
+
+    stream(net_path, start)
+    here, (west, south, east, north) = bounds.get("convBoundary", []), bounds.get("origBoundary") or [0.0] * 4
+    is_degrees = -180 <= west < east <= 180 and -90 < south < north < 90
+    if not is_degrees or len(here) != 4:
+        return None
+    degree_m = math.radians(1) * 6_371_000
+    high_m = (north - south) * degree_m
+    wide_m = (east - west) * degree_m * math.cos(math.radians((south + north) / 2))
+    return min((here[2] - here[0]) / wide_m, (here[3] - here[1]) / high_m)
+
+
 def projection(net_path: Path | str) -> Location:
     """Projection and offset of a network that must have one.
 

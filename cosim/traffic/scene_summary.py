@@ -13,7 +13,7 @@ from cosim.traffic.scenario import Scenario
 from sumo_nets.footprints import Footprint, OtherPolygons, read_polygons
 from sumo_nets.ground import covered_m, segments, standing_on
 from sumo_nets.levels import crossings
-from sumo_nets.network import Lane, is_left_hand, lanes, n_jumps
+from sumo_nets.network import Lane, is_left_hand, lanes, n_jumps, stretch
 from sumo_nets.xml import version_of
 
 MOST_COVERED_P = 0.01
@@ -21,6 +21,8 @@ MOST_COVERED_P = 0.01
 MOST_CROSSING_P = 0.1
 """If more of the lanes cross another one at the same height outside junctions, the scenario gets a note. A city without
 heights of its bridges has 5 %."""
+MOST_STRETCHED = 1.1
+"""If a network is more times as long as on Earth, the scenario gets a note. UTM's are 1.001 at most."""
 NEAR_M = 1000.0
 """Buildings farther from the network hide nobody [m]."""
 _NO_BUILDINGS = frozenset(
@@ -114,6 +116,11 @@ def _streets(scenario: Scenario, found: Sequence[Lane]) -> tuple[str, list[str]]
             f"{scenario.net}: lanes cross at one height outside junctions in {len(level):,} places ({share:.0%} of the "
             "lanes): vehicles drive through one another there. Bridges and tunnels need heights: build the network "
             "with netconvert --osm.layer-elevation 5, or give its nodes a z."
+        )
+    if (times := stretch(scenario.net) or 0.0) > MOST_STRETCHED:
+        notes.append(
+            f"{scenario.net}: everything is {times:.2g} times as long as on Earth, by its bounds in degrees: is it in "
+            "feet, or in web Mercator? Build it with netconvert --proj.utm."
         )
     notes += _jump_notes(scenario, found)
     return ", ".join(parts), notes

@@ -22,13 +22,21 @@ BLOCKS = ((20, 20), (220, 20), (20, 170), (220, 170))
 """South-western corners of blocks of 160 x 110 m between the streets."""
 
 
-def write(folder: Path, *flags: str, nodes: str = NODES, edges: str = EDGES, more: str = "", files: str = "") -> Path:
+def write(
+    folder: Path,
+    *flags: str,
+    nodes: str = NODES,
+    edges: str = EDGES,
+    more: str = "",
+    files: str = "",
+    proj: str = "",
+) -> Path:
     """Write the scenario; `flags` are options of netconvert that are true, `more` options of SUMO."""
     (folder / "plain.nod.xml").write_text(nodes)
     (folder / "plain.edg.xml").write_text(edges)
     (folder / "city.rou.xml").write_text(DEMAND)
     plain = {"node-files": "plain.nod.xml", "edge-files": "plain.edg.xml", "output-file": "city.net.xml"}
-    sumotools.run("netconvert", plain | dict.fromkeys(flags, True), folder)
+    sumotools.run("netconvert", plain | dict.fromkeys(flags, True) | ({"proj": proj} if proj else {}), folder)
     listed = f'<additional-files value="{files}"/>' if files else ""
     inputs = f'<net-file value="city.net.xml"/><route-files value="city.rou.xml"/>{listed}'
     config = folder / "city.sumocfg"

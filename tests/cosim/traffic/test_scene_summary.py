@@ -54,6 +54,19 @@ def test_a_network_without_ways_through_junctions_is_noted(tmp_path):
     assert f"no ways through its junctions (0 for {len(connections)} connections)" in note
 
 
+@pytest.mark.parametrize(
+    ("projection", "times"),
+    [("+proj=webmerc +datum=WGS84", 2.0), ("+proj=utm +zone=35 +units=us-ft", 3.3), ("+proj=utm +zone=35", None)],
+)
+def test_a_network_that_is_not_in_metres_is_noted(tmp_path, projection, times):
+    """A crossing of 600 x 600 m at 60 degrees north: Mercator's scale is 1 / cos 60° = 2, and a metre is 3.28 feet."""
+    at = {"w": (26.9946, 60), "c": (27, 60), "e": (27.0054, 60), "s": (27, 59.9973), "n": (27, 60.0027)}
+    nodes = "".join(f'<node id="{name}" x="{lon}" y="{lat}"/>' for name, (lon, lat) in at.items())
+    path = crossing.write(tmp_path, nodes=f"<nodes>{nodes}</nodes>", proj=projection)
+    said = [note for note in scene_summary(find(str(path))).notes if "as long as on Earth" in note]
+    assert said == [] if times is None else f"everything is {times:g} times" in said[0]
+
+
 OVER = """<nodes><node id="w" x="0" y="200" z="{z}"/><node id="e" x="400" y="200" z="{z}"/>
 <node id="s" x="200" y="0"/><node id="n" x="200" y="400"/></nodes>"""
 ROADS = """<edges><edge id="we" from="w" to="e" numLanes="2"/><edge id="ew" from="e" to="w" numLanes="2"/>
