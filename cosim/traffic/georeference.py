@@ -54,7 +54,8 @@ class NetLocation:
         west, south, east, north = self.bounds_m
         low = np.array([west, south]) - _MARGIN_M
         high = np.array([east, north]) + _MARGIN_M
-        return ((low <= xy_m) & (xy_m <= high)).all(axis=1)
+        is_within = (low <= xy_m) & (xy_m <= high)
+        return is_within[:, 0] & is_within[:, 1]
 
     def holds(self, xy_m: Float[ndarray, "n 2"]) -> float:
         """Share of positions within the bounds."""
