@@ -327,14 +327,18 @@ def stretch(net_path: Path | str) -> float | None:
             raise Enough
 
     stream(net_path, start)
-    here, (west, south, east, north) = bounds.get("convBoundary", []), bounds.get("origBoundary") or [0.0] * 4
-    is_degrees = -180 <= west < east <= 180 and -90 < south < north < 90
-    if not is_degrees or len(here) != 4:
+    here, on_earth = bounds.get("convBoundary", []), bounds.get("origBoundary", [])
+    if len(here) != 4 or len(on_earth) != 4:
+        return None
+    west, south, east, north = on_earth
+    if not (-180 <= west < east <= 180 and -90 < south < north < 90):
         return None
     degree_m = math.radians(1) * 6_371_000
-    high_m = (north - south) * degree_m
-    wide_m = (east - west) * degree_m * math.cos(math.radians((south + north) / 2))
-    return min((here[2] - here[0]) / wide_m, (here[3] - here[1]) / high_m)
+    middle_rad = math.radians((south + north) / 2)
+    wide_m = here[2] - here[0]
+    high_m = here[3] - here[1]
+    wide = wide_m / (degree_m * (east - west) * math.cos(middle_rad))
+    return min(wide, high_m / (degree_m * (north - south)))
 
 
 def projection(net_path: Path | str) -> Location:

@@ -77,7 +77,8 @@ class FlowCounts:
         self.n_steps += 1
         self.n_vehicles += n_vehicles
         self.n_pedestrians += int(np.count_nonzero(~is_vehicle))
-        self.n_standing += int(np.count_nonzero(is_vehicle & (np.abs(world.speed_mps) < STANDING_MPS)))
+        stands = np.abs(world.speed_mps) < STANDING_MPS
+        self.n_standing += int(np.count_nonzero(is_vehicle & stands))
         if self._before is not None:
             self.n_jumping += len(jumping(self._before, world, self.dt_s))
         self._before = world

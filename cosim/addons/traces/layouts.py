@@ -1,7 +1,7 @@
 """Layouts of positions: tables with columns, taxi logs, trajectories from drones; and the rows of one file."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -244,15 +244,15 @@ def rows_of_file(
     kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
     if kinds is None and layout in ("highd", "ind"):
         read_as.append("no tracksMeta file beside it says the classes: all are cars")
-    if not columns.kind and (unread := [name for name in names if not _KIND_WORDS.isdisjoint(units.words(name))]):
+    if not columns.kind and (unread := _named(names, _KIND_WORDS)):
         read_as.append(f"{', '.join(unread)} not read: all are cars. A column of classes is named class")
     speed = units.speeds(path, table)
     if turned := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
         read_as.append(f"{', '.join(turned)} not read: actors look where they go, and north before they move")
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
-    used = {*columns.size, *(columns.corner or ())}
-    if sizes := [name for name in names if name not in used and not _SIZES.isdisjoint(units.words(name))]:
+    used = *columns.size, *(columns.corner or ())
+    if sizes := [name for name in _named(names, _SIZES) if name not in used]:
         read_as.append(f"{', '.join(sizes)} not read: such a size is that of the class")
     return FileRows(
         actors=actors,
@@ -266,6 +266,11 @@ def rows_of_file(
         read_as=tuple(read_as),
         is_front=columns.is_front,
     )
+
+
+def _named(names: Sequence[str], words: Set[str]) -> list[str]:
+    """The columns whose names have one of these words."""
+    return [name for name in names if words & set(units.words(name))]
 
 
 def _with_optional(columns: PositionColumns, names: Sequence[str]) -> PositionColumns:
@@ -323,7 +328,8 @@ def _kinds_and_sizes(
         lw_m = np.full((len(actors), 2), np.nan)
         for axis, name in enumerate(columns.size):
             if name:
-                lw_m[:, axis] = units.size_unit(name, unit_m) * delimited.numbers(path, name, table.column(name))
+                size = delimited.numbers(path, name, table.column(name))
+                lw_m[:, axis] = units.size_unit(name, unit_m) * size
     named = _META.match(path.name)
     meta = path.with_name(f"{named[1]}_tracksMeta.csv") if named else path
     if kinds is None and named and meta.is_file():

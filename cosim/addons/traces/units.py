@@ -106,8 +106,10 @@ def length_unit(x: str, y: str, given_m: float | None) -> tuple[float, str]:
 
 def size_unit(name: str, positions_m: float) -> float:
     """Metres per unit of a column of sizes: as its name says, and otherwise as positions."""
-    said = (LENGTH_M[_LENGTH_WORDS[word]] for word in words(name)[1:] if word in _LENGTH_WORDS)
-    return next(said, positions_m)
+    for word in words(name)[1:]:
+        if word in _LENGTH_WORDS:
+            return LENGTH_M[_LENGTH_WORDS[word]]
+    return positions_m
 
 
 def of_size(what: str, names: Sequence[str]) -> str:
