@@ -41,7 +41,7 @@ class Timestep:
     front_m: Float[ndarray, "n 3"]  # centre of the front bumper
     compass_deg: Float[ndarray, "n"]
     speed_mps: Float[ndarray, "n"]
-    is_person: Bool[ndarray, "n"]
+    is_person: Bool[ndarray, "n"]  # or a container, where its class says so
     vclasses: list[str] | None = None
     """SUMO's vehicle class of each actor, where the trace says it itself, as those of cosim do."""
     lwh_m: Float[ndarray, "n 3"] | None = None
@@ -136,8 +136,8 @@ def _xml(path: Path) -> Iterator[Timestep]:
                 who = attributes.get("id")
                 raise TrafficError(f"{path}: {name} {who!r} at {time_s:g} s: {error}.") from None
             types.append(attributes.get("type", ""))
-            persons.append(name == "person")
-            vclasses.append(attributes.get("vClass", ""))
+            persons.append(name != "vehicle")
+            vclasses.append(attributes.get("vClass", "container" if name == "container" else ""))
             poses.append(pose)
 
     def end(name: str) -> None:

@@ -116,7 +116,7 @@ def conversion(
     if is_elsewhere and net.holds(xy + offset_m[:2]) > _MOST_P:
 
         def shifted(timestep: Timestep) -> Timestep:
-            # SUMO 1.28 writes vehicles in coordinates of the map, and persons in those of the network.
+            # SUMO 1.28 writes vehicles in coordinates of the map, persons and containers in those of the network.
             is_there = timestep.is_person & net.has(timestep.front_m[:, :2])
             front_m = timestep.front_m + np.where(is_there[:, None], 0.0, offset_m)
             return replace(timestep, front_m=np.round(front_m, 6))  # who rides is at the exact place of the vehicle

@@ -263,10 +263,9 @@ class TraceReplay(_Replay):
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
         is_motorised = np.isin(shape, (Shape.CAR, Shape.TRUCK))
         self._lanes.add(timestep.front_m[rows[is_motorised], :2])
-        if timestep.vclasses is None:
-            for (name, is_person), of in zip(keys, types, strict=True):
-                if not of and not is_person:
-                    self._untyped.add(name)
+        for row, (name, is_person), of in zip(rows.tolist(), keys, types, strict=True):
+            if not (of or is_person or (timestep.vclasses and timestep.vclasses[row])):
+                self._untyped.add(name)
         shown = self._identities.names(keys)
         number = self._registry.register(shown, shape.astype(np.uint8), lwh_m, step)
         self._identities.add(keys, types, timestep.front_m[rows, :2], number, step)

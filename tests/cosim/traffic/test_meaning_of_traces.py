@@ -328,14 +328,17 @@ def test_persons_in_tables(tmp_path, head, rows, shapes):
     assert dict(zip(who.names, who.shape.tolist(), strict=True)) == shapes
 
 
-def test_containers_in_xml_are_left_out_and_counted(tmp_path):
+@pytest.mark.parametrize("kind", ["DEFAULT_CONTAINERTYPE", "crate", ""])
+def test_containers_in_xml_are_left_out_and_counted(tmp_path, kind):
     """As in tables, where SUMO writes them into the columns of vehicles."""
     what = 'id="{}" x="{}" y="0" angle="90" speed="0" type="{}"/>'
-    car, box = "<vehicle " + what.format("a", 5, "car"), "<container " + what.format("b", 9, "DEFAULT_CONTAINERTYPE")
+    car, box = "<vehicle " + what.format("a", 5, "car"), "<container " + what.format("b", 9, kind)
     path = tmp_path / "fcd.xml"
     path.write_text(f'<fcd-export><timestep time="0">{car}{box}</timestep></fcd-export>')
     worlds, report, _ = replay(path)
     assert list(worlds[-1]) == ["a"] and report["actors_left_out"] == {"container": 1}
+    path.write_text(path.read_text().replace('x="5" y="0"', 'x="386005" y="6672000"'))  # as --fcd-output.utm does
+    assert replay(path, net=NET)[0] == worlds
 
 
 def test_columns_named_after_a_person_may_hold_vehicles(tmp_path):
