@@ -363,5 +363,14 @@ def test_exact_copies_are_no_error(tmp_path):
     assert len(fixes.time_s) == 2 and fixes.repaired == {"repeated": 1}
 
 
+def test_one_glitch_makes_no_metres_of_degrees(tmp_path):
+    """A taxi in Rome at 10 m/s, whose receiver says 0, 0 once."""
+    at = [f"a,{t},{12.48 + 1.2e-4 * t},41.9\n" for t in range(30)]
+    at[9] = "a,9,0,0\n"
+    with pytest.raises(TrafficError, match=r"hardly anything is faster than .* degrees with --lat and --lon"):
+        given(tmp_path, "t.csv", HEAD + "".join(at))
+    assert given(tmp_path, "t.csv", HEAD + "".join(at), length_unit_m=1.0).xy_m[1, 1] == 41.9
+
+
 def test_vehicles_that_all_stand_are_in_metres(tmp_path):
     assert len(given(tmp_path, "t.csv", HEAD + "a,0,1,2\na,1,1,2\nb,0,9,9\n").time_s) == 3
