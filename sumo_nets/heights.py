@@ -91,6 +91,12 @@ _BY_KIND_M: dict[str, float] = {
 }
 OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
 """Kinds that stand on posts."""
+_UNIT_M = {**dict.fromkeys(("ft", "feet", "foot", "'", "′", "’"), 0.3048), "cm": 0.01, "km": 1000.0}
+_NUMBER = re.compile(
+    r"""\s*(?P<value>\d+(?:[.,]\d+)?)\s*(?P<unit>[a-z]+|['′’]|)(?:\s*(?P<inches>\d+(?:\.\d+)?)\s*(?:["″”]|in|''))?""",
+    re.IGNORECASE,
+)
+"""A number of a tag, such as `12.5 m` or `7'6"`."""
 _NO_MORE = frozenset(("no", "demolished", "razed", "proposed", "planned"))
 
 
@@ -147,9 +153,9 @@ def _storeys(tags: Mapping[str, str]) -> float:
 
 
 def number(text: str | None) -> float | None:
-    """The number that a tag starts with, feet turned into metres; None where there is none."""
-    match = re.match(r"\s*(\d+(?:[.,]\d+)?)\s*(m|ft|feet|')?", text or "")
+    """The number that a tag starts with, other units turned into metres; None where there is none."""
+    match = _NUMBER.match(text or "")
     if match is None:
         return None
-    value = float(match[1].replace(",", "."))
-    return value * 0.3048 if match[2] in ("ft", "feet", "'") else value
+    value = float(match["value"].replace(",", ".")) * _UNIT_M.get(match["unit"].lower(), 1.0)
+    return value + float(match["inches"] or 0) * 0.0254
