@@ -245,9 +245,11 @@ def _trace(run: "OpenRun", values: dict[tuple[str, str], float]) -> list[str]:
         f"{plain(about['actors_per_step_mean'])} actors in a step on average"
     ]
     if "interpolated_share" in about:
+        n_vehicles = sum(about["classes"].values())
+        split = "" if n_vehicles == about["actors"] else f" of {n_vehicles:,} vehicles"
         lines.append(
             f"{about['actors']:,} vehicles with {about['positions']:,} positions; "
-            f"{about['gaps']:,} gaps and {about['jumps']:,} jumps cut them into {about['tracks']:,} tracks"
+            f"{about['gaps']:,} gaps and {about['jumps']:,} jumps cut them into {about['tracks']:,} tracks{split}"
         )
         lines.append(
             f"{about['interpolated_share']:.0%} of positions are interpolated, with an error of at most "

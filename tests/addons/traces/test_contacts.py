@@ -233,6 +233,10 @@ def test_what_the_numbers_were_taken_for_is_printed(tmp_path):
     assert "2 car; speeds 12.2 m/s (median)" in done.stdout and "read as: layout ngsim" in done.stdout
     made = cosim("trace", "n.csv", "--out", "t.parquet", cwd=tmp_path)
     assert "2 tracks after 0 gaps and 0 jumps; 2 car; speeds 12.2 m/s" in made.stdout, made.stderr
+    rows = "".join(f"a,{t},{10 * t + 9000 * (t > 2)},0\n" for t in range(6))
+    (tmp_path / "jump.csv").write_text("id,time,x,y\n" + rows)
+    done = cosim("contacts", "jump.csv", "--out", "jumped", cwd=tmp_path)
+    assert "1 vehicles with 6 positions; 0 gaps and 1 jumps cut them into 2 tracks of 2 vehicles" in done.stdout
 
 
 def test_notes_on_a_trace_are_printed(tmp_path):
