@@ -157,5 +157,6 @@ def number(text: str | None) -> float | None:
     match = _NUMBER.match(text or "")
     if match is None:
         return None
-    value = float(match["value"].replace(",", ".")) * _UNIT_M.get(match["unit"].lower(), 1.0)
-    return value + float(match["inches"] or 0) * 0.0254
+    value = float(match["value"].replace(",", "."))
+    unit_m = _UNIT_M.get(match["unit"].lower(), 1.0)
+    return value * unit_m + float(match["inches"] or 0) * 0.0254
