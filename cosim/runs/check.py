@@ -16,6 +16,7 @@ from cosim.runs.inputs import changed_inputs
 from cosim.step import mixed_perception
 from cosim.step.parts import check_choices
 from cosim.traffic.driver import largest_step_s
+from cosim.traffic.georeference import refuse_degrees
 from cosim.traffic.meshes import with_meshes
 from cosim.traffic.roadside import NO_UNITS, RoadsideUnits, place
 from cosim.traffic.scenario import Scenario, find
@@ -40,6 +41,7 @@ def check(config: Config) -> Scenario:
     """
     scenario = find(config.traffic.scenario, config.traffic.trace)
     scenario.check_simulator()
+    _check_degrees(config, scenario)
     rsu_antennas(config, scenario)
     roadside_units(config, scenario)
     _check_streetside(config, scenario)
@@ -56,6 +58,19 @@ def check(config: Config) -> Scenario:
         key = np.zeros(1, np.uint64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, key)
     return scenario
+
+
+def _check_degrees(config: Config, scenario: Scenario) -> None:
+    """Raise ValueError if a position is in degrees."""
+    objects = {f"objects.{i}.at_m": of.at_m for i, of in enumerate(config.objects) if of.at_m is not None}
+    units = {f"roadside.{i}.at": of.at for i, of in enumerate(config.roadside) if of.at is not None}
+    units |= {f"rsu.at[{i}]": (east, north) for i, (east, north, _) in enumerate(config.rsu.at)}
+    net = scenario.location() if objects or units else None
+    if net is not None:
+        for name, at in objects.items():
+            refuse_degrees(name, at, net, scenario.origin_m)
+        for name, at in units.items():
+            refuse_degrees(name, at, net)
 
 
 def _check_streetside(config: Config, scenario: Scenario) -> None:

@@ -146,6 +146,30 @@ def _moved(own: Projection, to_net: Projection) -> Conversion:
     return moved
 
 
+def refuse_degrees(name: str, at: Sequence[float], net: NetLocation, origin_m: Sequence[float] = (0.0, 0.0)) -> None:
+    """Raise TrafficError if a position in metres is rather the longitude and latitude of a place in the network.
+
+    Parameters
+    ----------
+    name
+        The key that has the position.
+    origin_m
+        Its origin in the network's coordinates.
+    """
+    if net.projection is None:
+        return
+    for latitude, longitude in (at, at[::-1]):
+        if abs(latitude) > 90 or abs(longitude) > 180:
+            continue
+        there_m = net.projection.to_world(np.array([latitude]), np.array([longitude]))
+        if net.has(there_m)[0]:
+            east_m, north_m = (there_m[0] - origin_m).tolist()
+            raise TrafficError(
+                f"{name} = {list(at)} are degrees of a place in the network, and metres are needed. Set it to "
+                f"[{east_m:.1f}, {north_m:.1f}]."
+            )
+
+
 class LaneCheck:
     """Counts the vehicles that come on the road far from all lanes for cars, as those of another place do."""
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
+from cosim.runs.check import check
 from cosim.runs.run import run
 from results.archive import open_run
 from tests.drive import noted
@@ -33,6 +34,28 @@ def assert_noted(sets, about, said):
 )
 def test_messages_that_no_station_can_receive(sets, said):
     assert_noted(sets, "radio.", said)
+
+
+@pytest.mark.parametrize(
+    ("key", "form"),
+    [
+        ("objects.0.at_m", "[[objects]]\nat_m = [{}, {}]\n"),
+        ("roadside.0.at", "[[roadside]]\nat = [{}, {}]\n"),
+        ("rsu.at[0]", "[rsu]\nat = [[{}, {}, 6.0]]\n"),
+    ],
+)
+def test_degrees_of_a_place_in_the_network_are_no_metres(tmp_path, key, form):
+    """In either order. The metres are those of SUMO's convertGeo; degrees as metres are in a corner of the network."""
+    path = tmp_path / "c.toml"
+    for at in ((24.9444, 60.1714), (60.1714, 24.9444)):
+        path.write_text(form.format(*at))
+        with pytest.raises(ValueError, match=r"are degrees of a place in the network") as caught:
+            check(load(path))
+        east_m, north_m = map(float, str(caught.value)[:-2].rpartition("[")[2].split(","))
+        assert str(caught.value).startswith(key)
+        assert (east_m, north_m) == (525.2, 815.6)
+    path.write_text(form.format(25.0, 62.0))
+    check(load(path))
 
 
 GHOSTS = "attacks.0.attack=ghost_insertion"
