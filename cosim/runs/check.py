@@ -173,8 +173,20 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
+    notes += _late_objects(config)
     notes += _few_clouds(config) + _no_links(config) + _one_evaluator(config)
     return notes + _out_of_reach(config)
+
+
+def _late_objects(config: Config) -> list[str]:
+    """Notes on objects that the run ends before."""
+    duration_s = config.traffic.duration_s
+    late = [(i, of.from_s) for i, of in enumerate(config.objects) if of.from_s >= duration_s]
+    return [
+        f"note: objects.{i}.from_s = {from_s:g} s: the object never appears, because traffic.duration_s = "
+        f"{duration_s:g} s."
+        for i, from_s in late
+    ]
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:

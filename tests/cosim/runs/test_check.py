@@ -58,6 +58,12 @@ def test_degrees_of_a_place_in_the_network_are_no_metres(tmp_path, key, form):
     check(load(path))
 
 
+@pytest.mark.parametrize(("from_s", "said"), [(20, "because traffic.duration_s = 20 s"), (19.8, "")])
+def test_an_object_that_never_appears_is_noted(from_s, said):
+    sets = "traffic.duration_s=20", f"objects=[{{at_m=[300.0, 300.0], from_s={from_s}}}]"
+    assert_noted(sets, f"objects.0.from_s = {from_s} s: the object never appears", said)
+
+
 GHOSTS = "attacks.0.attack=ghost_insertion"
 
 
