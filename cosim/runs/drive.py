@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -260,6 +261,7 @@ class Drive:
             **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
+            **({"attackers_absent": absent} if (absent := self._absent_attackers()) else {}),
         }
 
     def _incomplete_rings(self) -> dict[str, Any]:
@@ -276,6 +278,15 @@ class Drive:
         for number, attack in enumerate(self.parts.config.attacks):
             if attack.victim == "one" and attack.victim_id not in known:
                 absent.append(f'attacks.{number}.victim_id = "{attack.victim_id}"')
+        return absent
+
+    def _absent_attackers(self) -> dict[str, list[str]]:
+        """By key of the config, the attackers that were never on the road, or not equipped."""
+        equipped = set(compress(self.registry.names, self.registry.equipped))
+        absent = {}
+        for number, attack in enumerate(self.parts.config.attacks):
+            if missing := [name for name in attack.ids if name not in equipped]:
+                absent[f"attacks.{number}.ids"] = missing
         return absent
 
     def _n_placed(self) -> int:

@@ -414,12 +414,18 @@ def _measured(drive: Drive) -> None:
 
 _FEWEST_MESSAGES = 3.0
 """A run with fewer messages per pseudonym, on average, gets a note."""
+_NAMED = 5
+"""Absent attackers that a note names."""
 
 
 def remarks(folder: Path) -> list[str]:
     """Notes that a user should read before they rely on the figures of a run; empty for most runs."""
     summary = read_manifest(folder)["summary"]
     absent = [f"note: {key}: no vehicle of that id was on the road." for key in summary.get("victims_absent", ())]
+    for key, missing in summary.get("attackers_absent", {}).items():
+        more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+        few = ", ".join(missing[:_NAMED])
+        absent.append(f"note: {key}: {few}{more} did not attack: no equipped vehicle of that id was on the road.")
     return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
 
 

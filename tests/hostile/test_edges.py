@@ -227,10 +227,11 @@ def test_a_changed_input_is_said(cosim, run, tmp_path):
     assert ended.status == 0 and "note: changed since run was recorded: street.csv" in ended.err, ended.err
 
 
-def test_a_victim_that_never_appears_is_said(cosim, tmp_path, words):
-    keys = ("attacks.0.victim=one", "attacks.0.victim_id=nobody")
+def test_a_victim_or_an_attacker_that_never_appears_is_said(cosim, tmp_path, words):
+    keys = ("attacks.0.victim=one", "attacks.0.victim_id=nobody", 'attacks.0.ids=["ghost"]')
     ended = cosim("run", *words, *set_words(keys), "--out", "run", cwd=tmp_path)
     assert ended.status == 0 and 'attacks.0.victim_id = "nobody": no vehicle of that id' in ended.err, ended.err
+    assert "attacks.0.ids: ghost did not attack: no equipped vehicle" in ended.err, ended.err
 
 
 def test_the_ray_caster_is_said(cosim, run, tmp_path, words):
