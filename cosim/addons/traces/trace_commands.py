@@ -101,14 +101,15 @@ def trace(
         notes.print(f"note: rows left out or sorted: {', '.join(said)}.", soft_wrap=True)
     drive = f"traffic.scenario={out}" if scenario is None else f"traffic.scenario={scenario} --set traffic.trace={out}"
     size = f"{report['actors']:,} vehicles, {report['steps']:,} steps"
+    begin = "" if fixes.begin == "0" else f" from {fixes.begin} s of the positions on, which is time 0"
     text = (
-        f"wrote {out}: {size} of {step_s:g} s, "
+        f"wrote {out}: {size} of {step_s:g} s{begin}, "
         f"{100 * report['interpolated_share']:.0f} % of the positions interpolated{_left_out(report, step_s)}; "
         f"{report['tracks']:,} tracks after {report['gaps']:,} gaps and {report['jumps']:,} jumps; "
         f"{'; '.join(found_lines(report))}. A run takes who comes into view for one that enters the road. Run it with: "
         f"cosim run --set {drive}{_steps(step_s)}"
     )
-    print_done({"out": str(out), "step_s": step_s, **report}, text, as_json)
+    print_done({"out": str(out), "step_s": step_s, "begin": fixes.begin, **report}, text, as_json)
 
 
 def _left_out(report: dict[str, Any], step_s: float) -> str:

@@ -139,6 +139,12 @@ def test_positions_that_are_left_out_are_said(tmp_path):
     assert "s apart (median)" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
 
 
+def test_what_is_time_0_is_said(tmp_path):
+    (tmp_path / "p.csv").write_text("id,time,x,y\na,1700000000.5,0,0\na,1700000001.5,9,0\n")
+    said = cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
+    assert "2 steps of 1 s from 1700000000.5 s of the positions on, which is time 0" in said
+
+
 def test_nothing_on_a_step_or_no_room_is_one_line_and_writes_nothing(tmp_path):
     rows = pd.DataFrame({"id": ["a", "b"], "time": [0.25, 0.35], "x": [0.0, 1.0], "y": [0.0, 1.0]})
     rows.to_csv(tmp_path / "p.csv", index=False)
