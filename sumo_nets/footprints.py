@@ -67,9 +67,9 @@ def read_polygons(
 
     Polygons count as buildings if their type starts with "building" or they carry a `building` or
     `building:part` parameter, unless these say that it is gone, planned or underground. Heights come from `base_z_m`
-    and `top_z_m`, else from OpenStreetMap's tags (`height`, `building:levels`, ...), else from the kind and size of
-    the building. Rings that cross themselves are repaired; where that yields several pieces, each is a footprint;
-    those without area are left out.
+    and `top_z_m`, else from OpenStreetMap's tags (`height`, `building:levels`, ...) or the attribute `height`, which
+    polyconvert writes, else from the kind and size of the building. Rings that cross themselves are repaired; where
+    that yields several pieces, each is a footprint; those without area are left out.
     Longitudes and latitudes (`geo="true"`) are projected as the network of `net_path` is.
 
     Raises
@@ -93,12 +93,12 @@ def read_polygons(
         nonlocal poly
         if name == "poly" and poly is not None:
             kind = poly.get("type", "")
-            tags = _tags(kind, params)
+            tags = _tags(poly, params)
             if stands(tags):
                 found.append((poly, params))
             else:
                 n, n_high = others.get(kind, (0, 0))
-                is_high = "building" not in tags and not _HEIGHTS.isdisjoint(params)
+                is_high = "building" not in tags and not _HEIGHTS.isdisjoint(tags)
                 others[kind] = OtherPolygons(n + 1, n_high + is_high)
             poly = None
 
@@ -216,17 +216,18 @@ def _footprints(
     return made
 
 
-def _tags(kind: str, params: Attributes) -> Attributes:
-    """OpenStreetMap's tags of a polygon: its parameters, and the kind of building that its type says."""
-    kind = kind.lower()
-    if not kind.startswith("building"):
-        return params
-    return {"building": kind.removeprefix("building").lstrip(".") or "yes"} | params
+def _tags(poly: Attributes, params: Attributes) -> Attributes:
+    """OpenStreetMap's tags of a polygon: its parameters, the kind of building that its type says, and its height."""
+    tags = {"height": poly["height"]} if "height" in poly else {}
+    kind = poly.get("type", "").lower()
+    if kind.startswith("building"):
+        tags["building"] = kind.removeprefix("building").lstrip(".") or "yes"
+    return tags | params
 
 
 def _extent(poly: Attributes, params: Attributes, area_m2: float, where: str) -> tuple[float, float, str]:
     """Base and top of a building [m], and where its height comes from."""
-    height = height_of(_tags(poly.get("type", ""), params), area_m2)
+    height = height_of(_tags(poly, params), area_m2)
     base = _metres(params.get("base_z_m"), height.base_z_m, where)
     top = _metres(params.get("top_z_m"), height.top_z_m, where)
     if not 0.0 <= base < top:
