@@ -21,7 +21,7 @@ from shapely import Polygon
 from sumo_nets import sumotools
 from sumo_nets.heights import height_of, stands
 from sumo_nets.sumotools import Ring
-from sumo_nets.xml import Attributes, stream
+from sumo_nets.xml import Attributes, is_true, stream
 
 _HEIGHTS = frozenset(("height", "building:height", "building:levels", "top_z_m", "levels", "min_height"))
 """Parameters of a polygon that only something of a height has."""
@@ -107,8 +107,7 @@ def read_polygons(
     where = [f"{path}: polygon {building.get('id', '?')!r}" for building in buildings]
     shapes = [building.get("shape", "") for building in buildings]
     outer = list(map(_ring, shapes, where))
-    yes = ("true", "1", "yes", "on", "True")
-    geo = [k for k, building in enumerate(buildings) if building.get("geo") in yes]
+    geo = [k for k, building in enumerate(buildings) if is_true(building.get("geo", ""))]
     if geo:
         projected = _projected([outer[k] for k in geo], net_path, where[geo[0]])
         for k, ring in zip(geo, projected, strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from sumo_nets.xml import Attributes, Enough, stream, version_of
+from sumo_nets.xml import Attributes, Enough, is_true, stream, version_of
 
 LANE_M = 3.2
 """Default width of a lane [m]; SUMO's own."""
@@ -187,7 +187,7 @@ def is_left_hand(net_path: Path | str) -> bool:
         raise Enough
 
     stream(net_path, start)
-    return found[0] in ("true", "1", "yes", "on", "True")
+    return is_true(found[0])
 
 
 def n_jumps(net_path: Path | str) -> int:

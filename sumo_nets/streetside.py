@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from sumo_nets.network import LANE_M, LARGEST_WIDTH_M, admits_motors, is_left_hand, points_of
-from sumo_nets.xml import Attributes, stream
+from sumo_nets.xml import Attributes, is_true, stream
 
 _PARKING = ("parking:lane:{}", "parking:lane:both", "parking:{}", "parking:both")
 """OpenStreetMap's tags of parking on the `left` or `right` of a way, in the direction in which the way is drawn."""
@@ -119,7 +119,7 @@ def read_trees(path: Path | str) -> Float[ndarray, "n 2"]:
         if name == "poi" and kind.endswith("tree"):
             x, y = here.get("x", ""), here.get("y", "")
             found.append(points_of(f"{x},{y}")[:, :2])
-        elif name == "poly" and kind.endswith("tree_row") and here.get("geo", "false") not in ("true", "1"):
+        elif name == "poly" and kind.endswith("tree_row") and not is_true(here.get("geo", "")):
             row = points_of(here.get("shape", ""))[:, :2]
             if len(row) > 1:
                 line = shapely.LineString(row)

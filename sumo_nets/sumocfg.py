@@ -14,7 +14,18 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_nets.sumo_inputs import check_input
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED, SYNONYMS
-from sumo_nets.xml import Attributes, Enough, check_regular, contains, exists, meant, root_of, spelling, stream
+from sumo_nets.xml import (
+    Attributes,
+    Enough,
+    check_regular,
+    contains,
+    exists,
+    is_true,
+    meant,
+    root_of,
+    spelling,
+    stream,
+)
 
 SUFFIXES = (".sumocfg", ".sumo.cfg")
 """File name endings of configurations that SUMO's users write."""
@@ -25,7 +36,6 @@ _REQUIRED = ("net-file", "route-files", "additional-files")
 """Options whose files are checked for existence; SUMO itself reports others."""
 _POLY = ["<poly".encode(encoding) for encoding in ("utf-8", "utf-16-le", "utf-16-be")]
 _DEMAND = [b"<flow", b"<trip", b"<vehicle ", b"<person"]
-_YES = ("true", "1", "yes", "on", "x", "t")
 _TABLES = ("astar.all-distances", "astar.landmark-distances")
 """Options whose files SUMO reads as tables, and not as XML."""
 
@@ -70,7 +80,7 @@ class Sumocfg:
     @property
     def switches(self) -> frozenset[str]:
         """The options that are switched on."""
-        return frozenset(name for name, value in self.options.items() if value.lower() in _YES)
+        return frozenset(name for name, value in self.options.items() if is_true(value))
 
     @property
     def begin_s(self) -> float:

@@ -34,6 +34,11 @@ class Enough(Exception):
     """Raised by a handler to end the reading."""
 
 
+def is_true(text: str) -> bool:
+    """Whether SUMO takes a value of a file for true."""
+    return text.lower() in ("true", "1", "yes", "on", "x", "t")
+
+
 def stream(
     path: Path | str,
     start: Callable[[str, Attributes], None],

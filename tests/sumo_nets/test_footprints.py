@@ -169,7 +169,7 @@ def test_longitudes_and_latitudes_are_projected_as_the_network_is(tmp_path):
     path = polys(
         tmp_path,
         f'<poly id="before" type="building" shape="{SQUARE}"/>',
-        f'<poly id="house" type="building.house" geo="true" shape="{shape}"/>',
+        f'<poly id="house" type="building.house" geo="T" shape="{shape}"/>',
         f'<poly id="lake" type="natural.water" geo="true" shape="{shape}"/>',
     )
     before, house = read_footprints(path, net)
