@@ -173,7 +173,8 @@ def read(
     if not degrees:
         _check_metres(where, read.actor, time_s, xy_m, length_unit_m is not None)
     is_said = time_unit_s is not None and length_unit_m is not None
-    units.check_speeds(where, read.actor, time_s, xy_m, read.speed, is_said)
+    if odd := units.check_speeds(where, read.actor, time_s, xy_m, read.speed, is_said):
+        read_as[odd] = None
     name_of, actor, n_again = _reused(list(names), read.actor, time_s, xy_m, read.kind)
     read = replace(read, actor=actor, xy=xy_m)
     if n_again:

@@ -49,6 +49,8 @@ _SPEED_UNITS = (1.0, 1 / 3.6, 0.44704, 0.51444, 0.3048)
 _NEAR = 1.15
 _ODD = (0.2, 2.0)
 """Ratios of speeds outside these are refused."""
+_DENSE_S, _ENOUGH = 2.0, 20
+"""Ratios of positions that are farther apart, or of fewer of them, say little."""
 
 
 def words(name: str) -> list[str]:
@@ -154,8 +156,8 @@ def check_speeds(
     xy_m: Float[ndarray, "n 2"],
     speed: Float[ndarray, "n"],
     is_given: bool,
-) -> None:
-    """Compare speeds of positions with those that the trace says, in any usual unit.
+) -> str:
+    """Compare speeds of positions with those that the trace says, in any usual unit; a word if they are no such ones.
 
     Parameters
     ----------
@@ -171,12 +173,16 @@ def check_speeds(
     said = (speed[1:] + speed[:-1]) / 2
     use = (np.diff(actor) == 0) & (took_s > 0) & (said > 0.5)
     if is_given or np.count_nonzero(use) < 2:
-        return
+        return ""
     gone_m = np.hypot(*np.diff(xy_m, axis=0).T)
     found = gone_m[use] / took_s[use]
     ratio = float(np.median(found / said[use]))
     if _ODD[0] < ratio < _ODD[1] or ratio == 0:
-        return
+        is_dense = np.median(took_s[use]) <= _DENSE_S and len(found) >= _ENOUGH
+        is_usual = any(1 / _NEAR < ratio / per < _NEAR for per in _SPEED_UNITS)
+        if is_usual or not is_dense:
+            return ""
+        return f"positions move {ratio:.3g} times as fast as the table says, as on a map that stretches (web Mercator)"
     fits = []
     for time, unit_s in TIME_S.items():
         for length, unit_m in LENGTH_M.items():

@@ -210,6 +210,14 @@ def test_speeds_in_other_units_are_no_evidence(tmp_path):
         assert given(tmp_path, "t.csv", text).xy_m[1, 0] == 12
 
 
+def test_a_map_that_stretches_is_told_by_speeds(tmp_path):
+    """10 m/s at 50 degrees north are 15.6 m/s in web Mercator, whose scale is 1 / cos 50 degrees."""
+    for scale, said in ((1.556, True), (1.0, False), (1.1, False)):
+        rows = "".join(f"a,{t},{2_000_000 + 10 * scale * t},6400000,10\n" for t in range(30))
+        read_as = given(tmp_path, "t.csv", f"id,time,x,y,speed\n{rows}").read_as
+        assert any("move 1.56 times as fast as the table says" in word for word in read_as) == said
+
+
 def test_columns_whose_names_say_another_unit(tmp_path):
     text = "id,time_ms,x_ft,y_ft,frame,lon\na,0,10,20,0,1\na,100,20,20,1,1\n"
     fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_ms", "x_ft", "y_ft"))
