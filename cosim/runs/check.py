@@ -62,15 +62,17 @@ def check(config: Config) -> Scenario:
 
 def _check_degrees(config: Config, scenario: Scenario) -> None:
     """Raise ValueError if a position is in degrees."""
-    objects = {f"objects.{i}.at_m": of.at_m for i, of in enumerate(config.objects) if of.at_m is not None}
-    units = {f"roadside.{i}.at": of.at for i, of in enumerate(config.roadside) if of.at is not None}
-    units |= {f"rsu.at[{i}]": (east, north) for i, (east, north, _) in enumerate(config.rsu.at)}
-    net = scenario.location() if objects or units else None
-    if net is not None:
-        for name, at in objects.items():
-            refuse_degrees(name, at, net, scenario.origin_m)
-        for name, at in units.items():
-            refuse_degrees(name, at, net)
+    net = scenario.location()
+    if net is None:
+        return
+    for i, thing in enumerate(config.objects):
+        if thing.at_m is not None:
+            refuse_degrees(f"objects.{i}.at_m", thing.at_m, net, scenario.origin_m)
+    for i, unit in enumerate(config.roadside):
+        if unit.at is not None:
+            refuse_degrees(f"roadside.{i}.at", unit.at, net)
+    for i, (east_m, north_m, _) in enumerate(config.rsu.at):
+        refuse_degrees(f"rsu.at[{i}]", (east_m, north_m), net)
 
 
 def _check_streetside(config: Config, scenario: Scenario) -> None:
@@ -180,13 +182,14 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
 
 def _late_objects(config: Config) -> list[str]:
     """Notes on objects that the run ends before."""
-    duration_s = config.traffic.duration_s
-    late = [(i, of.from_s) for i, of in enumerate(config.objects) if of.from_s >= duration_s]
-    return [
-        f"note: objects.{i}.from_s = {from_s:g} s: the object never appears, because traffic.duration_s = "
-        f"{duration_s:g} s."
-        for i, from_s in late
-    ]
+    notes = []
+    for i, thing in enumerate(config.objects):
+        if thing.from_s >= config.traffic.duration_s:
+            notes.append(
+                f"note: objects.{i}.from_s = {thing.from_s:g} s: the object never appears, because "
+                f"traffic.duration_s = {config.traffic.duration_s:g} s."
+            )
+    return notes
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:

@@ -261,7 +261,7 @@ class Drive:
             **self._incomplete_rings(),
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
-            **({"attackers_absent": absent} if (absent := self._absent_attackers()) else {}),
+            **({"attackers_absent": missing} if (missing := self._absent_attackers()) else {}),
         }
 
     def _incomplete_rings(self) -> dict[str, Any]:

@@ -100,10 +100,10 @@ def trace(
         said = [f"{n:,} {reason}" for reason, n in fixes.repaired.items()]
         notes.print(f"note: rows left out or sorted: {', '.join(said)}.", soft_wrap=True)
     drive = f"traffic.scenario={out}" if scenario is None else f"traffic.scenario={scenario} --set traffic.trace={out}"
-    size = f"{report['actors']:,} vehicles, {report['steps']:,} steps"
+    size = f"{report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s"
     begin = "" if fixes.begin == "0" else f" from {fixes.begin} s of the positions on, which is time 0"
     text = (
-        f"wrote {out}: {size} of {step_s:g} s{begin}, "
+        f"wrote {out}: {size}{begin}, "
         f"{100 * report['interpolated_share']:.0f} % of the positions interpolated{_left_out(report, step_s)}; "
         f"{report['tracks']:,} tracks after {report['gaps']:,} gaps and {report['jumps']:,} jumps; "
         f"{'; '.join(found_lines(report))}. A run takes who comes into view for one that enters the road. Run it with: "
