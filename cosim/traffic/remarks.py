@@ -250,8 +250,9 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if n := summary.get("vehicles_without_type"):
         found.append(
-            f"note: the trace says no type of {n} vehicles: they are taken for cars of 5 m. Record it with "
-            "--fcd-output.attributes x,y,z,angle,type,speed, or without that option."
+            f"note: the trace says no type of {n} vehicles: they are taken for cars of 5 m, and positions "
+            "for their front bumpers. Record it with --fcd-output.attributes x,y,z,angle,type,speed, or without that "
+            "option; positions of centres are for `cosim trace`, with --x and --y."
         )
     if placed := summary.get("trace_placed"):
         found.append(f"note: the positions of the trace are {placed}.")
@@ -273,7 +274,8 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
     if share := summary.get("trace_aside_p"):
         found.append(
             f"note: in {share:.0%} of their moves, vehicles of the trace do not go to where their angles point. Are "
-            "angles in degrees, clockwise from north? Correct them, or leave them out: `cosim trace` does without."
+            "angles in degrees, clockwise from north? Correct them, or use `cosim trace` with --x and --y, which does "
+            "without."
         )
     if share := summary.get("trace_far_from_lanes_p"):
         found.append(

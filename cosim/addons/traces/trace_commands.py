@@ -82,8 +82,11 @@ def trace(
             raise ValueError(f"--class {kind} goes with --x and --y, or --lat and --lon. Name these columns, too.")
         columns = replace(columns, kind=kind)
     for path in files:
-        if layouts.is_sumo(path):
-            raise ValueError(f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}.")
+        if columns is None and layouts.is_sumo(path):
+            raise ValueError(
+                f"{path} is a trace of SUMO's already. Drive it with --set traffic.scenario={path}. If its positions "
+                "are centres, or its angles others, name --x and --y."
+            )
     fixes = positions.read(
         files,
         columns,

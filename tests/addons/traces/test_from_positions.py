@@ -139,6 +139,16 @@ def test_positions_that_are_left_out_are_said(tmp_path):
     assert "s apart (median)" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
 
 
+def test_centres_with_the_columns_of_sumo_are_read_if_columns_are_named(tmp_path):
+    """An angle from east: SUMO's would be clockwise from north, and of the front bumper."""
+    (tmp_path / "p.csv").write_text("id,time,x,y,angle,speed\na,0,0,0,0,9\na,1,9,0,0,9\n")
+    assert "name --x and --y" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stderr
+    made = cosim("trace", "p.csv", "--x", "x", "--y", "y", "--out", "t.parquet", cwd=tmp_path)
+    assert made.returncode == 0 and "angle not read" in made.stdout, made.stderr
+    first = pd.read_parquet(tmp_path / "t.parquet").iloc[0]
+    assert (first.vehicle_x, first.vehicle_angle) == (2.5, 90.0)
+
+
 def test_what_is_time_0_is_said(tmp_path):
     (tmp_path / "p.csv").write_text("id,time,x,y\na,1700000000.5,0,0\na,1700000001.5,9,0\n")
     said = cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
