@@ -302,7 +302,7 @@ def _since_1970(path: Path, name: str, column: pa.ChunkedArray) -> Float[ndarray
     try:
         parsed = pd.to_datetime(column.to_pandas(), utc=True, format="ISO8601", errors="raise")
     except (ValueError, TypeError) as error:
-        cause = " ".join(str(error).split())[:120]
+        cause = " ".join(str(error).split()).partition(". You might")[0][:120]
         raise TrafficError(f"{path}: column {name}: {cause}.") from None
     microseconds = parsed.dt.tz_localize(None).dt.as_unit("us").to_numpy()
     return np.where(np.isnat(microseconds), np.nan, microseconds.astype(np.int64) / 1e6)

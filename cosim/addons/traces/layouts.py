@@ -249,6 +249,8 @@ def rows_of_file(
     speed = units.speeds(path, table)
     if turned := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
         read_as.append(f"{', '.join(turned)} not read: actors look where they go, and north before they move")
+    if not columns.is_degrees and (degrees := list(filter(units.degrees_by_name, names))):
+        read_as.append(f"{', '.join(degrees)} not read: {columns.x} and {columns.y} are the positions")
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
         read_as.append(f"{', '.join(flat)} not read: the road is flat")
     used = *columns.size, *(columns.corner or ())

@@ -353,6 +353,11 @@ def test_a_column_of_classes_is_read_or_named(tmp_path):
     assert fixes.read_as == ("road_user_category not read: all are cars. A column of classes is named class",)
 
 
+def test_degrees_beside_metres_are_said_to_be_left(tmp_path):
+    fixes = given(tmp_path, "t.csv", "id,time,x,y,lat,lon\na,0,0,0,60.1,24.9\n")
+    assert fixes.read_as == ("lat, lon not read: x and y are the positions",)
+
+
 def test_hours_by_the_name_of_a_column(tmp_path):
     text = "id,time_h,x,y\na,0,0,0\na,0.0005,18,0\n"
     fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_h", "x", "y"))
