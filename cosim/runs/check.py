@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import shapely
 
 from cosim.attacks.params import PAPER, AttackParams
 from cosim.config.config import Config, chosen
@@ -27,8 +28,12 @@ from sensors import lidar
 from sensors.boxes import Boxes
 from sensors.scene import Scene, Shape
 from sumo_nets import sumocfg
-from sumo_nets.network import junctions
+from sumo_nets.ground import StreetHeights
+from sumo_nets.network import junctions, lanes
 from sumo_nets.streetside import read_trees
+
+_SUNK_M = 1.0
+"""An object farther from the height of the street beside it is not on the ground [m]."""
 
 
 def check(config: Config) -> Scenario:
@@ -175,7 +180,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    notes += _late_objects(config)
+    notes += _late_objects(config) + _buried_objects(config, scenario)
     notes += _few_clouds(config) + _no_links(config) + _one_evaluator(config)
     return notes + _out_of_reach(config)
 
@@ -188,6 +193,22 @@ def _late_objects(config: Config) -> list[str]:
             notes.append(
                 f"note: objects.{i}.from_s = {thing.from_s:g} s: the object never appears, because "
                 f"traffic.duration_s = {config.traffic.duration_s:g} s."
+            )
+    return notes
+
+
+def _buried_objects(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on objects at height 0 where the ground is elsewhere."""
+    if not config.objects or scenario.net is None:
+        return []
+    at_m = np.array([thing.at_m for thing in config.objects]) + scenario.origin_m
+    ground_m = StreetHeights(lanes(scenario.net)).ground_m(shapely.points(at_m))
+    notes = []
+    for i, (thing, height_m) in enumerate(zip(config.objects, ground_m.tolist(), strict=True)):
+        if thing.ground_m == 0.0 and abs(height_m) > _SUNK_M:
+            notes.append(
+                f"note: objects.{i}.ground_m = 0 m, and the street beside it is at {height_m:.1f} m: nobody sees it "
+                f"there. Set objects.{i}.ground_m = {height_m:.1f}."
             )
     return notes
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from cosim.config.config import load
-from cosim.runs.check import check
+from cosim.runs.check import check, notes_on
 from cosim.runs.run import run
 from results.archive import open_run
+from tests.cosim.traffic import crossing
 from tests.drive import noted
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
@@ -62,6 +63,17 @@ def test_degrees_of_a_place_in_the_network_are_no_metres(tmp_path, key, form):
 def test_an_object_that_never_appears_is_noted(from_s, said):
     sets = "traffic.duration_s=20", f"objects=[{{at_m=[300.0, 300.0], from_s={from_s}}}]"
     assert_noted(sets, f"objects.0.from_s = {from_s} s: the object never appears", said)
+
+
+@pytest.mark.parametrize(("ground", "said"), [("", [24.0]), ("ground_m = 24.0\n", [])])
+def test_an_object_below_a_hill_is_noted(tmp_path, ground, said):
+    """A crossing at 24 m."""
+    crossing.write(tmp_path, nodes=crossing.NODES.replace('y="', 'z="24" y="'))
+    path = tmp_path / "c.toml"
+    path.write_text(f'[traffic]\nscenario = "city.sumocfg"\n[[objects]]\nat_m = [200.0, 20.0]\n{ground}')
+    config = load(path)
+    notes = [note for note in notes_on(config, check(config)) if "objects.0.ground_m" in note]
+    assert [float(note[:-1].rpartition(" = ")[2]) for note in notes] == said
 
 
 GHOSTS = "attacks.0.attack=ghost_insertion"
