@@ -32,6 +32,8 @@ none of those of four cities is, and 3 % with errors of 5 m; in that of another 
 _POSSIBLE, _ODD = (0.02, 50.0), (0.6, 1.7)
 """Ways over what the speeds say: outside the first they are refused, and outside the second they are noted. The second
 leaves out knots (0.51) and miles per hour (0.45)."""
+_ODD_OF_LEAPS = 0.4
+"""The smaller one where most moves are none, as in mesoscopic traffic: the mean of its first 200 may be 0.67."""
 _ASIDE_DEG, _ASIDE_P = 45.0, 1 / 3
 """Angles are noted if more than this share of moves is farther than this from them."""
 
@@ -243,7 +245,7 @@ class TravelCheck:
             return None
         both = np.median(self._ratios), np.mean(self._ratios)
         low, high = float(min(both)), float(max(both))
-        if high < _ODD[0]:
+        if high < (_ODD[0] if low > 0 else _ODD_OF_LEAPS):
             return high
         return low if low > _ODD[1] else None
 
