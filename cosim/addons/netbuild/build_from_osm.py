@@ -16,10 +16,11 @@ import sumo_nets
 from cosim.addons.netbuild import build, osm_files, overpass
 from cosim.addons.netbuild.gate_flows import gate_flows, rates_at
 from cosim.addons.netbuild.osm_xml import check_form
-from cosim.addons.netbuild.streets import LeftOut
+from cosim.addons.netbuild.streets import LeftOut, n_clockwise
 from cosim.base.durable import sha256
 from sumo_nets import demand
 from sumo_nets.density import BY_HOUR, SHARES, Density, trips_per_hour
+from sumo_nets.osm import Extract
 from sumo_nets.xml import Attributes, check_prolog, stream
 
 _HERE = Path(str(sumo_nets.__file__)).parent
@@ -48,6 +49,8 @@ class Losses(NamedTuple):
     """By class."""
     n_incomplete: int
     """Ways without the places of their nodes."""
+    side: str = ""
+    """A note if most roundabouts are driven as on the other side of the road."""
 
     @property
     def text(self) -> str:
@@ -82,7 +85,7 @@ def from_osm(
     name
         Name of the city and its files.
     left_hand
-        Whether traffic drives on the left. An extract does not tell.
+        Whether traffic drives on the left. An extract tells by its roundabouts alone.
     box
         Region (west, south, east, north in degrees) to cut out of a larger extract.
 
@@ -132,7 +135,19 @@ def from_osm(
             cause = f"the extract is too small for traffic: {error}. Take a larger one."
             raise ValueError(f"--osm {path}: {cause}") from None
         build.pack(recipe, text, work, out)
-    return Losses(left_out, extract.n_incomplete)
+    return Losses(left_out, extract.n_incomplete, _other_side(extract, left_hand))
+
+
+def _other_side(extract: Extract, left_hand: bool) -> str:
+    n_left, n = n_clockwise(extract)
+    n_other = n - n_left if left_hand else n_left
+    if 2 * n_other <= n:
+        return ""
+    way, side, cure = ("against the clock", "right", "without") if left_hand else ("clockwise", "left", "with")
+    return (
+        f"note: {n_other} of {n} roundabouts are driven {way}, as where traffic keeps to the {side}. Build the city "
+        f"again {cure} --left-hand."
+    )
 
 
 def from_box(

@@ -63,6 +63,8 @@ def build(
             losses = build_from_osm.from_osm(osm, out, wanted, name, left_hand, box)
         else:
             losses = build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
+    if losses.side:
+        notes.print(losses.side, soft_wrap=True)
     net = catalogue.open_folder(out)
     picture = draw(find(str(out)), out / PICTURE)
     facts = summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}

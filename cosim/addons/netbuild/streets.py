@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import numpy as np
+import shapely
 from numpy import ndarray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -98,6 +99,24 @@ def drivable(
         raise ValueError(f"the extract has no connected network of streets of the classes {', '.join(sorted(classes))}")
     streets = _assemble(sections, directions, ignored_tags)
     return DrivableStreets(streets, gates, left_out(extract, classes, streets))
+
+
+def n_clockwise(extract: Extract) -> tuple[int, int]:
+    """How many roundabouts are driven clockwise, as where traffic keeps to the left, and how many there are.
+
+    Ways of OpenStreetMap are drawn in the direction of driving. Roundabouts of several ways are left out.
+    """
+    n_all = n_found = 0
+    for way in extract.ways.values():
+        tags, nodes = way.tags, way.nodes
+        if tags.get("junction") != "roundabout" or tags.get("oneway") == "-1":
+            continue
+        is_ring = len(nodes) > 3 and nodes[0] == nodes[-1]
+        if is_ring and extract.place.keys() >= set(nodes):
+            ring = shapely.linearrings([extract.place[node] for node in nodes])
+            n_all += 1
+            n_found += not shapely.is_ccw(ring)
+    return n_found, n_all
 
 
 def left_out(extract: Extract, classes: frozenset[str], kept: Sequence[Way]) -> dict[str, LeftOut]:

@@ -11,9 +11,11 @@ import pytest
 
 from cosim.addons.netbuild import build, build_from_osm, flow, osm_files
 from cosim.addons.netbuild.build_from_osm import from_osm
+from cosim.addons.netbuild.streets import n_clockwise
 from sumo_nets import catalogue, density, sumo_package_nets
 from sumo_nets.density import Density
 from sumo_nets.network import lanes
+from sumo_nets.osm import Extract, Way
 from sumo_nets.sumotools import projected
 from tests import SHARED
 from tests.refusals import refused_in_one_line
@@ -97,6 +99,22 @@ def test_traffic_keeps_to_the_left_where_it_is_told_to(built, tmp_path):
         return float(np.mean([way[:, 1].mean() for way in ways if np.ptp(way[:, 1]) < 2 and way[-1, 0] > way[0, 0]]))
 
     assert 2 < eastward_m(tmp_path / "left") - eastward_m(built) < 8  # by the width of a lane or two
+
+
+def test_roundabouts_tell_the_side_of_the_road():
+    """A square east, north, west, south is driven against the clock."""
+    place = {1: (0.0, 51.0), 2: (0.001, 51.0), 3: (0.001, 51.001), 4: (0.0, 51.001)}
+    tags = {"highway": "primary", "junction": "roundabout"}
+    right = Way(1, (1, 2, 3, 4, 1), tags)
+    left = [Way(2, (1, 4, 3, 2, 1), tags), Way(3, (4, 3, 2, 1, 4), tags)]
+    others = [Way(4, (1, 4, 3), tags), Way(5, (1, 4, 9, 1), tags), Way(6, (1, 4, 3, 2, 1), {"highway": "primary"})]
+    extract = Extract(place=place, ways={way.id: way for way in (right, *left, *others)})
+    assert n_clockwise(extract) == (2, 3)
+    assert "2 of 3 roundabouts are driven clockwise" in build_from_osm._other_side(extract, left_hand=False)
+    assert build_from_osm._other_side(extract, left_hand=True) == ""
+    assert build_from_osm._other_side(Extract(), left_hand=False) == ""
+    british = build_from_osm._other_side(Extract(place=place, ways={1: right}), left_hand=True)
+    assert british.endswith("Build the city again without --left-hand.")
 
 
 def test_a_name_names_files_in_the_folder(built, tmp_path):
