@@ -27,6 +27,8 @@ _LONG_S, _FASTEST_MPS = 30.0, 70.0
 """An id that comes back as another class after a longer time, or by a faster way, is another actor."""
 _DAY_S, _ZIGZAG = 86400.0, 1.5
 """Times of day are at most a day, and rows of two actors, sorted by time, are a way that is longer by this factor."""
+_WIDE_M = 1.2
+"""Who is wider, and wider than long, is no pedestrian."""
 _LEAST_SIZE_M = 0.05
 """Smaller sizes, such as the zeros of pedestrians in inD, say nothing."""
 
@@ -192,6 +194,9 @@ def read(
         read_as[f"{', '.join(off_road)} as cars here; a run leaves them out, because they are not on the road"] = None
     begin = float(read.time_s.min())
     lw_m = pd.DataFrame(read.lw_m).groupby(read.actor).median().to_numpy()
+    length_m, width_m = lw_m.T
+    if n_wide := int(((width_m > _WIDE_M) & (width_m > length_m)).sum()):
+        read_as[f"{n_wide} actors are wider than long: are the columns of lengths and widths exchanged?"] = None
     return Fixes(
         names=name_of,
         kinds=kinds,

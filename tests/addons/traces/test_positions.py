@@ -358,6 +358,12 @@ def test_degrees_beside_metres_are_said_to_be_left(tmp_path):
     assert fixes.read_as == ("lat, lon not read: x and y are the positions",)
 
 
+def test_lengths_and_widths_that_are_exchanged_are_said(tmp_path):
+    """A pedestrian may be wider than long."""
+    text = "id,time,x,y,length,width\na,0,0,0,1.8,4.6\nb,0,9,0,4.6,1.8\nc,0,19,0,0.3,0.6\n"
+    assert [said[:29] for said in given(tmp_path, "t.csv", text).read_as] == ["1 actors are wider than long:"]
+
+
 def test_hours_by_the_name_of_a_column(tmp_path):
     text = "id,time_h,x,y\na,0,0,0\na,0.0005,18,0\n"
     fixes = given(tmp_path, "t.csv", text, columns=PositionColumns("id", "time_h", "x", "y"))
