@@ -218,17 +218,20 @@ class TravelCheck:
         if before is None:
             return
         rows, after = rows_in_both(before.names, timestep.names)
-        was_fast = before.speed_mps[rows] > _MOVING_MPS
-        fast: Bool[ndarray, "n"] = was_fast & (timestep.speed_mps[after] > _MOVING_MPS)
+        was_mps, is_mps = before.speed_mps[rows], timestep.speed_mps[after]
+        slower_mps = np.minimum(np.abs(was_mps), np.abs(is_mps))
+        fast: Bool[ndarray, "n"] = (slower_mps > _MOVING_MPS) & (was_mps * is_mps > 0)
         rows, after = rows[fast], after[fast]
         took_s = timestep.time_s - before.time_s
-        asked_m = (before.speed_mps[rows] + timestep.speed_mps[after]) / 2 * took_s
+        mean_mps = (was_mps[fast] + is_mps[fast]) / 2
+        asked_m = np.abs(mean_mps) * took_s
         dx_m, dy_m, _ = (timestep.front_m[after] - before.front_m[rows]).T
         gone_m = np.hypot(dx_m, dy_m)
         self._ratios += (gone_m / asked_m).tolist()
         angles_deg = before.compass_deg[rows], timestep.compass_deg[after]
         ahead = np.exp(1j * np.deg2rad(angles_deg)).sum(axis=0)
-        turned_rad = np.angle(dy_m + 1j * dx_m) - np.angle(ahead)
+        forward = ahead * np.sign(mean_mps)  # who reverses moves backwards
+        turned_rad = np.angle(dy_m + 1j * dx_m) - np.angle(forward)
         is_aside = np.cos(turned_rad) < np.cos(np.deg2rad(_ASIDE_DEG))
         self._n_aside += int((is_aside & (gone_m > 0)).sum())
         if self._ratios:

@@ -236,8 +236,11 @@ def test_angles_that_are_not_clockwise_from_north_in_degrees_are_noted(tmp_path)
 
 
 def test_who_reverses_does_not_stand(tmp_path):
-    rows = [(*row, -speed) for *row, speed in file_of_cars(range(12))]
-    assert replay(write(tmp_path, rows))[1]["vehicles_standing_p"] == 0.0
+    """A negative speed is that of reversing, and is no direction on a map, beside an angle that says it already."""
+    for angle_deg, aside_p in ((270.0, None), (90.0, 1.0)):
+        rows = [(*row, angle_deg, kind, -speed) for *row, _, kind, speed in file_of_cars(range(12))]
+        report = replay(write(tmp_path, rows))[1]
+        assert report["vehicles_standing_p"] == 0.0 and report.get("trace_aside_p") == aside_p
 
 
 def test_mesoscopic_traffic_and_a_single_leap_are_no_other_units(tmp_path):
