@@ -241,9 +241,9 @@ def _of_traffic(
         with _counting(out, scenario.name, params, traffic.step_s, appearance) as counted:
             for step, world in chain([first], worlds):
                 near = search(world)
-                extent.add(world, search.parked_key)
+                n_present = extent.add(world, search.parked_key)
                 closed, _, _ = update_encounters(counted.trackers, step, near)
-                counted.add(step, closed, len(near.present))
+                counted.add(step, closed, n_present)
                 advance("contacts", step + 1, max(step + 1, n_asked), f"{len(world)}")
             is_parked = np.isin(registry.name_key, search.parked_key)
             counted.report |= replayed.report() | extent.report(registry.shape[~is_parked])
@@ -271,15 +271,15 @@ def _worlds(replayed: Any, most: float) -> Iterator[tuple[int, World]]:
 
 @dataclass(slots=True)
 class _Extent:
-    """Speeds of vehicles, and the rectangle that they are in, over the worlds of a trace."""
+    """Speeds of actors, and the rectangle that they are in, over the worlds of a trace."""
 
     low_m: ndarray = field(default_factory=lambda: np.full(2, np.inf))
     high_m: ndarray = field(default_factory=lambda: np.full(2, -np.inf))
     n_of_speed: ndarray = field(default_factory=lambda: np.zeros(1001, np.int64))
-    """Vehicles in steps by speed, in tenths of m/s."""
+    """Actors in steps by speed, in tenths of m/s."""
 
-    def add(self, world: World, parked_key: ndarray) -> None:
-        """Add a world without the parked cars of these names."""
+    def add(self, world: World, parked_key: ndarray) -> int:
+        """Add a world without the parked cars of these names. Returns the number of actors, pedestrians included."""
         moving = ~np.isin(world.name_key, parked_key)
         if moving.any():
             xy_m = world.boxes.xyz_m[moving, :2]
@@ -288,6 +288,7 @@ class _Extent:
             tenths = np.rint(np.abs(world.speed_mps[moving]) * 10)
             code = np.clip(tenths, 0, 1000).astype(np.int64)
             self.n_of_speed += np.bincount(code, minlength=1001)
+        return int(moving.sum())
 
     def report(self, shape: ndarray) -> dict[str, Any]:
         """For the summary of the trace, with the number of actors of each class."""

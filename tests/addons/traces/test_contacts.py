@@ -222,6 +222,12 @@ def test_pedestrians_count_only_if_a_definition_includes_them(tmp_path):
     )
     assert pairs[False] == {("a", "b")} and pairs[True] == {("a", "b"), ("a", "p"), ("b", "p")}
     assert found.manifest["summary"]["classes"] == {"car": 2, "pedestrian": 1}
+    assert found.manifest["summary"]["actors_per_step_mean"] == 3
+    car = '<vehicle id="a" x="{x}" y="0" angle="90" type="car" speed="8"/>'
+    walker = '<person id="p" x="30" y="0" angle="90" type="DEFAULT_PEDTYPE" speed="0"/>'
+    steps = "".join(f'<timestep time="{t}">{car.format(x=8 * t)}{walker}</timestep>' for t in range(5))
+    (tmp_path / "t.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    assert count([tmp_path / "t.xml"], tmp_path / "s").manifest["summary"]["actors_per_step_mean"] == 2
 
 
 def test_what_the_numbers_were_taken_for_is_printed(tmp_path):
