@@ -262,11 +262,13 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
         if metric != last and not is_alone:
             cells.append((metric,))
         label = metric if is_alone else f"  {group}"
-        value = "" if row["value"] is None else plain(row["value"])
+        last = metric
+        if row["value"] is None:  # the group is a sentence, which would move all values far to the right
+            cells.append((label,))
+            continue
         unit = "" if row["unit"] == "1" else str(row["unit"])
         note = str(row.get("note") or "")
-        cells.append((label, value, unit, _interval(row), note))
-        last = metric
+        cells.append((label, plain(row["value"]), unit, _interval(row), note))
     values = [row for row in cells if len(row) > 1]
     wide = [max(map(len, column), default=0) for column in zip(*values, strict=True)]
 

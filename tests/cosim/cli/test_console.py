@@ -55,6 +55,16 @@ def test_what_a_reader_may_see_is_unchanged():
         assert console.clean(text) == text
 
 
+def test_a_reason_does_not_move_the_values_away(capsys):
+    """It stands in the place of a group, and is a sentence: values began at its end, far to the right."""
+    about = {"low": None, "high": None, "unit": "", "note": ""}
+    reason = "this run holds no attacks: none has begun, and the run ends too early. Run longer."
+    missing = about | {"metric": "misbehaviour.not_measured", "group": reason, "value": None}
+    console.print_rows("run", [about | {"metric": "radio.sent.n", "group": "", "value": 7.0}, missing])
+    *_, sent, _, _, said = capsys.readouterr().out.splitlines()
+    assert sent == "radio.sent.n  7" and said == f"  {reason}"
+
+
 def test_json_is_read_unchanged(capsys):
     content = {"name": EVIL, "plain": "Stra\u00dfe \u6771\u4eac"}
     console.print_json(content)
