@@ -28,14 +28,16 @@ def draw(runs: Sequence[Run]) -> Figure:
                 reasons.append(reason)
                 continue
             older = 1 - curve.share.to_numpy()
-            there = (older > 1e-12) & (curve.age_s.to_numpy() > 0)
+            older[-1] = older[-2]  # up to the largest age, beyond which nothing is left to draw
+            there = curve.age_s > 0
             if not there.any():
                 continue
             age_s, older = curve.age_s[there], older[there]
             look = style.look(k)
             if len(runs) > 1:
                 look["color"] = style.inks(runs)[i]
-            axes.plot(age_s, older, drawstyle="steps-post", markevery=0.15, **look)
+            every = 0.15 if len(age_s) > 2 else None  # a single age has no line to set marks along
+            axes.plot(age_s, older, drawstyle="steps-post", markevery=every, **look)
             shown.add(k)
             lowest = min(lowest, float(older.min()))
             shortest_s = min(shortest_s, float(age_s.min()))

@@ -197,6 +197,20 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
     assert top <= drawn[1].get_ylim()[1] < 1.1 * top
 
 
+def test_ages_are_drawn_up_to_the_largest(tiny):
+    """Nine of ten lookups find an age of 2 s, and one finds 7 s: a tenth is older than 2 s, up to 7 s."""
+    seen = {"receiver": 0, "source": "server", "state": "evaluated", "n_evaluations": 3, "age_s": 2.0}
+    ages = {"oldest_evaluation_age_s": 2.0}
+    lookups = [
+        seen | ages | {"step": s, "subject": 1, "newest_evaluation_age_s": 7.0 if s == 4 else 2.0} for s in range(10)
+    ]
+    run = tiny(10, vehicles=fleet("honest", "honest"), trust_lookups=lookups)
+    (axes,) = FIGURES["ages"]([run]).axes
+    value, newest, _ = axes.get_lines()
+    assert newest.get_xydata()[1:].tolist() == [[2.0, pytest.approx(0.1)], [7.0, pytest.approx(0.1)]]
+    assert axes.get_xlim()[1] > 7 and value.get_markevery() is None, "a single age is a mark"
+
+
 def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
     """One bound per attack, the same for both models; a metric without a bound has no such row."""
     swept = {"attack": ("ghosts", "replay"), "trust.model": ("beta", "mate")}
