@@ -294,11 +294,14 @@ def _heat_maps(frame: pd.DataFrame, asked: Sequence[str], x: str, y: str, at: Se
             cells = pd.concat([of_bound, cells])
         grid = cells.reindex(pd.MultiIndex.from_product([shown_rows, columns]))
         mean = grid["mean"].to_numpy(float).reshape(len(shown_rows), -1)
-        is_share = bounds_of(of_metric.metric.iloc[0])[1] == 1
-        top = 1.0 if is_share else float(np.nanmax(mean)) or 1.0
-        image = axes.imshow(mean, cmap="cividis", vmin=0, vmax=top, aspect="auto")
+        bottom, top = bounds_of(of_metric.metric.iloc[0])
+        if top != 1:
+            bottom = min(0.0, np.nanmin(mean))
+            top = max(0.0, np.nanmax(mean)) or float(bottom == 0)
+        middle = bottom + 0.55 * (top - bottom)
+        image = axes.imshow(mean, cmap="cividis", vmin=bottom, vmax=top, aspect="auto")
         for i, j in np.argwhere(~np.isnan(mean)) if has_room else ():
-            ink = "black" if mean[i, j] > 0.55 * top else "white"
+            ink = "black" if mean[i, j] > middle else "white"
             told = _short(mean[i, j], top)
             axes.text(j, i, told, ha="center", va="center", fontsize=style.SMALLEST, color=ink)
         axes.set_xticks(
@@ -369,14 +372,15 @@ def _height(axes: Axes, of_metric: pd.DataFrame) -> None:
     mean = of_metric["mean"].to_numpy(float)
     high = of_metric[["mean", "high"]].max(axis=1).to_numpy(float)
     low = of_metric[["mean", "low"]].min(axis=1).to_numpy(float)
-    top = float(high.max())
-    if mean.max() > 0:
-        top = min(top, _WIDE * float(mean.max()))
+    top, largest = float(high.max()), float(mean.max())
+    if largest:
+        top = min(top, _WIDE * largest)
     if bounds_of(of_metric.metric.iloc[0])[1] == 1 and low.min() >= 0:
         style.share_axis(axes, min(1.0, max(0.05, 1.04 * top)))
     else:
         least = max(float(low.min()), _WIDE * float(mean.min()))
-        axes.set_ylim(min(0.0, 1.06 * least), 1.06 * top or 1.0)
+        limits = min(0.0, 1.06 * least), max(0.0, 1.06 * top)
+        axes.set_ylim(limits if any(limits) else (0.0, 1.0))
     bottom, top = axes.get_ylim()
     for line in axes.containers:
         if not isinstance(line, ErrorbarContainer):

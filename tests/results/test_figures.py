@@ -197,6 +197,28 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
     assert top <= drawn[1].get_ylim()[1] < 1.1 * top
 
 
+@pytest.mark.parametrize("seeds", [1, 3])
+def test_negative_means_are_within_the_axis_and_the_scale(seeds, tmp_path):
+    """A metric of one's own, such as a utility: the axis ended below the largest mean, and the map was refused."""
+    for what, levels in (("map", ("beta", "mate")), ("lines", (10.0, 50.0))):
+        swept, values = {"attack": ("ghosts", "replay"), "level": levels}, cycle(np.linspace(-6.0, -5.0, 4 * seeds))
+        study = study_of(tmp_path / what, swept, seeds, lambda *_, v=values: next(v), measured=[("security.mcc", "")])
+        study.measures = study.measures.assign(metric="own.utility", unit="")
+        (axes,) = study_figure.draw(study, "", ["own.utility"]).axes
+        if what == "map":
+            assert axes.images[0].get_clim() == (study.summary["mean"].min(), 0)
+        else:
+            low, high = axes.get_ylim()
+            assert low < study.summary["mean"].min() and high == 0
+
+
+def test_a_correlation_of_less_than_none_has_a_colour_of_its_own(tmp_path):
+    swept, values = {"attack": ("ghosts", "replay"), "trust.model": ("beta", "mate")}, iter([-0.8, -0.2, 0.0, 0.4])
+    study = study_of(tmp_path, swept, 1, lambda *_: next(values), measured=[("security.mcc", "value")])
+    (axes,) = study_figure.draw(study, "security", ["security.mcc:value"]).axes
+    assert axes.images[0].get_clim() == (-1, 1)
+
+
 def test_ages_are_drawn_up_to_the_largest(tiny):
     """Nine of ten lookups find an age of 2 s, and one finds 7 s: a tenth is older than 2 s, up to 7 s."""
     seen = {"receiver": 0, "source": "server", "state": "evaluated", "n_evaluations": 3, "age_s": 2.0}
