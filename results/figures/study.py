@@ -234,6 +234,9 @@ def _draw(
     across = len(columns)
     height = (2.4 if len(asked) == 1 else 1.8) - (0.0 if across == 1 else 0.3)
     figure, panels = style.sheet(len(asked) * across, height, across)
+    if are_words(frame[x]):  # long words reach far below the axis
+        longest = max(len(said(value)) for value in frame[x])
+        figure.set_figheight(figure.get_figheight() + 0.033 * max(0, longest - 12))
     colours = distinct(frame[colour]) if colour else [None]
     labels = {key: label_of(key, frame) for key in (x, colour, column)}
     for row, name in enumerate(asked):
@@ -341,12 +344,13 @@ def _bound(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 def _line(axes: Axes, part: pd.DataFrame, values: pd.Series, i: int, n: int) -> None:
     """Line `i` of `n`, a little aside of the others so that their intervals can be told apart."""
     found = distinct(values)
-    aside = 0.012 * (i - (n - 1) / 2)
+    place = i - (n - 1) / 2
+    aside = 0.012 * place
     x = part[values.name].to_numpy()
     if values.dtype.kind != "f":
         wider = 3 if are_words(values) else 1
-        shift = aside * max(1, len(found) - 1) * wider
-        at = pd.Index(found).get_indexer(x) + shift
+        step = min(0.012 * max(1, len(found) - 1) * wider, 0.6 / n)  # all lines stay nearer to their word
+        at = pd.Index(found).get_indexer(x) + step * place
     elif _is_wide(found):
         at = x * (found[-1] / found[0]) ** aside
     else:

@@ -196,9 +196,16 @@ def legend(figure: Figure, entries: Sequence[Any], runs: Sequence[Any] = ()) -> 
         tries.append((whole, -(-len(whole) // rows)))
     for handles, columns in tries:
         made = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
-        if made.get_window_extent().width <= figure.bbox.width or columns == 1:
+        extent = made.get_window_extent()
+        if extent.width <= figure.bbox.width or columns == 1:
+            if extent.height > _LEGEND_P * figure.bbox.height:
+                figure.set_figheight(0.9 * figure.get_figheight() + extent.height / DPI)
             return
         made.remove()
+
+
+_LEGEND_P = 0.35
+"""Share of a sheet that a legend below its panels may take. Above a higher one, they keep nine tenths of the sheet."""
 
 
 def _free_place(figure: Figure) -> SubplotSpec | None:

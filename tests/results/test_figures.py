@@ -219,6 +219,20 @@ def test_a_correlation_of_less_than_none_has_a_colour_of_its_own(tmp_path):
     assert axes.images[0].get_clim() == (-1, 1)
 
 
+MODELS = tuple(f"model_with_a_long_name_{i}" for i in range(12))
+
+
+def test_many_lines_leave_room_for_their_panel(tmp_path):
+    """A legend of twelve rows took nearly all of the sheet."""
+    swept = {"trust.model": MODELS, "fleet.penetration_p": (0.1, 0.3, 0.5, 0.7)}
+    study = study_of(tmp_path, swept, 1, lambda *_: 0.7, measured=[("misbehaviour.auc", "malicious")])
+    figure = study_figure.draw(study, "", ["misbehaviour.auc:malicious"])
+    assert figure.axes[0].get_window_extent().height / style.DPI > 1.3
+    over = study_figure.draw(study, "", ["misbehaviour.auc:malicious"], over="trust.model").axes[0]
+    at = np.sort([x for line in over.get_lines()[:4] for x in line.get_xdata()]).reshape(12, 4)
+    assert np.ptp(at, axis=1).max() < 0.5 < np.diff(at.mean(axis=1)).min(), "nearer to their word than to the next"
+
+
 def test_ages_are_drawn_up_to_the_largest(tiny):
     """Nine of ten lookups find an age of 2 s, and one finds 7 s: a tenth is older than 2 s, up to 7 s."""
     seen = {"receiver": 0, "source": "server", "state": "evaluated", "n_evaluations": 3, "age_s": 2.0}
