@@ -429,7 +429,16 @@ def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
     few = found
     if len(found) > most:
         few = found[(len(found) - 1) % 2 :: 2]  # the last one among them
-    axes.set_xticks(few, [said(v) for v in few])
+    least = 0.4 / most * (found[-1] - found[0])
+    if _is_wide(found):
+        least = 0.0
+    numbers: list[str] = []
+    labelled = -np.inf
+    for value in few:
+        is_apart = value >= labelled + least  # else its number would stand on that of the one before
+        numbers.append(said(value) if is_apart else "")
+        labelled = value if is_apart else labelled
+    axes.set_xticks(few, numbers)
 
 
 def label_of(key: str, among: Iterable[Any] = ()) -> str:

@@ -233,6 +233,14 @@ def test_many_lines_leave_room_for_their_panel(tmp_path):
     assert np.ptp(at, axis=1).max() < 0.5 < np.diff(at.mean(axis=1)).min(), "nearer to their word than to the next"
 
 
+def test_numbers_under_an_axis_do_not_stand_on_one_another(tmp_path):
+    swept = {"attacks.0.share_p": (0.0, 0.001, 0.1, 0.5)}
+    study = study_of(tmp_path, swept, 1, lambda *_: 0.7, measured=[("trust.final.median", "honest")])
+    (axes,) = study_figure.draw(study, "trust").axes
+    assert axes.get_xticks().tolist() == [0.0, 0.001, 0.1, 0.5]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "", "0.1", "0.5"]
+
+
 def test_ages_are_drawn_up_to_the_largest(tiny):
     """Nine of ten lookups find an age of 2 s, and one finds 7 s: a tenth is older than 2 s, up to 7 s."""
     seen = {"receiver": 0, "source": "server", "state": "evaluated", "n_evaluations": 3, "age_s": 2.0}
