@@ -13,7 +13,17 @@ from matplotlib.patches import Patch
 
 from results.figures import style
 from results.figures.study import MOST_PANELS, held, label_of
-from results.study import StudyResults, apart, at_first, distinct, for_axes, said, that_matter, with_short_names
+from results.study import (
+    StudyResults,
+    apart,
+    at_first,
+    distinct,
+    for_axes,
+    held_at,
+    said,
+    that_matter,
+    with_short_names,
+)
 from results.study_curves import AGES, ENCOUNTERS, pooled, samples
 
 _TITLES: Mapping[str, tuple[str, str, str]] = {
@@ -71,14 +81,14 @@ def draw(
         )
     where = dict(where or {})
     if group := where.pop("group", ""):
-        frame = frame[frame.group == group]
+        frame = held_at(frame, "group", group)
     if not np.isfinite(frame.value_s).any():
         raise ValueError(f"{study.name} has no value that rests on an evaluation: there is no age to draw.")
     frame = held(study, frame, study.keys, where)
     first = with_short_names(frame, study.keys).iloc[0]
     labels = {key: label_of(key, study.keys) for key in ("", "group", *study.keys)}
     at = [f"{labels[key]} = {said(first[key])}" for key in where]
-    held_at = ", ".join([group, *at] if group else at)
+    places = ", ".join([group, *at] if group else at)
     matter = _keys_of(study, frame)
     study.check_swept(*filter(None, [by]))
     if by is not None:
@@ -100,7 +110,7 @@ def draw(
         raise ValueError(f"{column} has {len(columns)} values: too many panels. Choose with --by and --where.")
     across = min(2, len(columns))
     hues = distinct(frame[colour]) if colour else [None]
-    below = max(0, len(hues) + bool(held_at) - 3)  # a row of panels leaves room for few entries of the legend
+    below = max(0, len(hues) + bool(places) - 3)  # a row of panels leaves room for few entries of the legend
     height = 2.4 if across == 1 else 2.1
     if len(columns) <= across:
         height += 0.25 * below
@@ -133,8 +143,8 @@ def draw(
     entries: list[Artist] = []
     for i, name in enumerate(names):
         entries.append(style.entry(name, **style.look(i)))
-    if held_at:
-        entries.append(style.held_entry(held_at))
+    if places:
+        entries.append(style.held_entry(places))
     if (n := frame.replicate.nunique()) > 1:
         entries.append(Patch(label=f"pooled; band: {n} single replicates", color=style.ink(0), alpha=0.18, linewidth=0))
     style.legend(figure, entries)

@@ -288,6 +288,8 @@ def test_curves_of_a_study(tmp_path):
     assert axes.get_lines()[0].get_ydata().tolist() == pytest.approx([1, 11 / 15, 11 / 15 * 0.6, 11 / 15 * 0.6 * 0.2])
     held = curve_figure.draw(study, "encounters", where={"fleet.penetration_p": 0.1, "group": "equipped, 100 m"})
     assert "at equipped, 100 m, penetration = 0.1" in {text.get_text() for text in held.legends[0].get_texts()}
+    with pytest.raises(ValueError, match=r"^no point has group = all, 5 m\. There are equipped, 100 m\.$"):
+        curve_figure.draw(study, "encounters", where={"group": "all, 5 m"})
     with pytest.raises(ValueError, match="has kept no age"):
         curve_figure.draw(study, "ages")
     with pytest.raises(ValueError, match="range_m is not swept"):
