@@ -67,9 +67,9 @@ def pivot(
     Returns
     -------
     A column for each value of `over`, after the metric with its unit, its group, and the other keys on which it
-    depends. A key on which a metric does not depend is empty in its rows. Keys that are the same in all rows are left
-    out, and so are groups that say no more than "all". `attrs` holds the key of the columns (`over`), and the labels of
-    metrics that have values elsewhere alone (`missing`).
+    depends, or at one value of which alone it has a value. Other keys are empty in its rows. Keys that are the same in
+    all rows are left out, and so are groups that say no more than "all". `attrs` holds the key of the columns (`over`),
+    and the labels of metrics that have values elsewhere alone (`missing`).
 
     Raises
     ------
@@ -94,7 +94,9 @@ def pivot(
             continue
         here |= dict.fromkeys(of_metric.label)
         matter = that_matter(chosen(measures, [name]), study.keys)
-        free = [key for key in others if key not in matter]
+        n_values = of_metric[others].nunique(dropna=False)
+        # A key of which the metric has one value alone is said: it has none at the others.
+        free = [key for key in others if key not in matter and n_values[key] > 1]
         beside = [key for key in others if key not in free]
         of_metric = at_first(of_metric, free, [over, *beside])
         short = with_short_names(of_metric, study.keys)

@@ -164,12 +164,18 @@ def draw(
 
 
 def _held_at(study: StudyResults, asked: Sequence[str], where: Mapping[str, Any]) -> list[Line2D]:
-    """An entry of the legend: the values at which keys are held, of those that change these metrics."""
+    """An entry of the legend: the values at which keys are held, of those that change these metrics, and the values at
+    which alone these have any."""
     matter = _matter(study, asked, {}) if where else []
     texts = []
     for key, value in where.items():
         if key in matter:
             texts.append(f"{label_of(key, study.keys)} = {value}")
+    there = with_short_names(chosen(study.summary, asked), study.keys)
+    for key in apart(study.points, study.keys):
+        if key not in where and there[key].nunique() == 1:
+            value = said(there[key].iloc[0])
+            texts.append(f"{label_of(key, study.keys)} = {value} alone")
     return [style.held_entry(", ".join(texts))] if texts else []
 
 

@@ -107,8 +107,9 @@ def test_five_keys_are_reported(tmp_path):
     text = study_report.page(study)
     assert 'class="missing"' not in text and "/nets/" not in re.sub(r"base64,[^\"]*", "", text)
     found = study_table.pivot(study, study.summary, study_table.core(study))
-    assert list(found.columns) == ["", "group", "fleet.penetration_p", "trust.freshness_s", "trust.model",
-                                   "street", "town"]  # fmt: skip
+    assert list(found.columns) == ["", "group", "fleet.penetration_p", "trust.freshness_s", "attacks.0.share_p",
+                                   "trust.model", "street", "town"]  # fmt: skip
+    assert found["attacks.0.share_p"].tolist() == 6 * [""] + 4 * ["0.1"], "without attackers there is no AUC"
     assert len(found) == 2 + 4 + 4
     # encounters at 10 % in the first city: 10 + 2 + mean of 0, .01, .02 = 12.01; s = .01; 4.303 x .01 / sqrt(3) = .0248
     half = t.ppf(0.975, 2) * 0.01 / 3**0.5
@@ -391,6 +392,22 @@ def test_the_definition_of_encounters_is_named_if_it_alone_has_a_value(tmp_path)
     study = study_of(tmp_path, {"traffic.scale": (0.5, 1.0)}, measured=measured, value=lambda _, keys, r: 5.0 + r)
     figure = study_figure.draw(study, "encounters")
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["at equipped, 100 m"]
+
+
+def test_where_alone_a_metric_has_a_value_is_said_in_table_and_figure(tmp_path):
+    """In no run with few vehicles had half of the encounters ended. The empty cell said that it does not matter."""
+
+    def value(metric, keys, replicate):
+        return np.nan if keys["fleet.penetration_p"] == 0.1 else 5.0 + replicate
+
+    swept = {"trust.freshness_s": (2.0, 10.0), "fleet.penetration_p": (0.1, 0.3)}
+    study = study_of(tmp_path, swept, value=value, measured=MEASURED[:1])
+    extra = study_of(tmp_path / "other", swept, measured=MEASURED[1:2])
+    study.measures = pd.concat([study.measures, extra.measures], ignore_index=True)
+    table = study_table.pivot(study, study.summary, study_table.core(study))
+    assert table["fleet.penetration_p"].tolist() == ["0.3", "0.1", "0.3"]
+    figure = study_figure.draw(study, "encounters")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["at penetration = 0.3 alone"]
 
 
 def test_keys_that_change_together_are_all_named(tmp_path):
