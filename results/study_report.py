@@ -106,7 +106,7 @@ def page(study: StudyResults, part: str = "") -> str:
         *_answers(study),
         f'<p class="soft">{points} ({states}) of {runs};{swept} {replicates}. '
         "Intervals are 95 % intervals of the mean over replicates (Student's t; results/TABLES.md has the "
-        "formula).</p>",
+        "formula). Each holds by itself: of 20 differences that are none, about one excludes 0 by chance.</p>",
         '<h2 id="figures">Figures</h2>',
         '<p class="soft">A band spans the curves of the single replicates, as far as they reach. An arrow '
         "marks an interval that leaves the panel. A key that is not shown changes nothing here.</p>",

@@ -105,6 +105,7 @@ def test_five_keys_are_reported(tmp_path):
     """Every figure is drawn, with short names of cities; the table has a row per combination that matters."""
     study = study_of(tmp_path, baseline={"trust.freshness_s": 5.0})
     text = study_report.page(study)
+    assert "of 20 differences that are none, about one excludes 0 by chance" in text
     assert 'class="missing"' not in text and "/nets/" not in re.sub(r"base64,[^\"]*", "", text)
     found = study_table.pivot(study, study.summary, study_table.core(study))
     assert list(found.columns) == ["", "group", "fleet.penetration_p", "trust.freshness_s", "attacks.0.share_p",
