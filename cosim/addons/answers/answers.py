@@ -3,10 +3,10 @@
 They say how long vehicles meet, how old trust is, how often it comes too late, and how well it tells apart.
 
 Each sentence has a part for every swept key that changes its metric: the values along the key, and what the paired
-interval of the difference to the first of them says, replicate by replicate: of the last number, or of each word. The
-other keys are held at their reference: the value of the baseline, or else the first of the study. Each city has
-sentences of its own, because replicates of different cities share no traffic. The last sentences name keys that change
-together with a key that is named.
+interval of the difference to the first of them says, replicate by replicate: of the last number, or of each word, of
+which that of the baseline is the first. The other keys are held at their reference: the value of the baseline, or else
+the first of the study. Each city has sentences of its own, because replicates of different cities share no traffic. The
+last sentences name keys that change together with a key that is named.
 """
 
 from collections.abc import Sequence
@@ -99,7 +99,8 @@ _ALIKE_P = 0.01
 _CITY = "traffic.scenario"
 _WINDOW = "trust.freshness_s"
 _MOST_VALUES = 4
-"""Of a key with more values, the first and the last are said."""
+"""Of a key with more values, the first and the last are said, and those with the smallest and the largest mean of
+numbers."""
 
 
 def sentences(study: StudyResults) -> list[Answer]:
@@ -166,7 +167,7 @@ def _answer(study: StudyResults, of: _Quantity, name: str, held: list[str]) -> A
         for other, value in reference.items():
             at_reference = at_reference if other == key else at_reference[at_reference[other] == value]
         if len(at_reference):
-            parts.append(_along(of, at_reference, key))
+            parts.append(_along(of, at_reference, key, reference[key]))
     subject = _subject(of, group)
     if len(parts) > 1:
         held += [_at(frame, key, value) for key, value in reference.items()]
@@ -236,10 +237,20 @@ def _reference(study: StudyResults, frame: pd.DataFrame, key: str) -> Any:
     return next((value for value in values if value == wanted), values[0])
 
 
-def _along(of: _Quantity, frame: pd.DataFrame, key: str) -> str:
-    """The values along a key, and what paired differences to the first say: of the last number, or of each word."""
+def _along(of: _Quantity, frame: pd.DataFrame, key: str, reference: Any) -> str:
+    """The values along a key, and what paired differences to the first say: of the last number, or of each word.
+
+    The first word is the reference.
+    """
     values = distinct(frame[key])
-    shown = values if len(values) <= _MOST_VALUES else [values[0], values[-1]]
+    if are_words(frame[key]):
+        values.sort(key=lambda value: bool(value != reference))
+    shown = values
+    if len(values) > _MOST_VALUES:
+        ends = [values[0], values[-1]]
+        means = frame.groupby(key).value.mean()
+        beyond = [] if are_words(frame[key]) else [means.idxmin(), means.idxmax()]
+        shown = [value for value in values if value in (*ends, *beyond)]
     where = "with" if are_words(frame[key]) else "at"
     there: list[str] = []
     for value in shown:
@@ -284,10 +295,10 @@ def verdict(of: _Quantity, pairs: pd.DataFrame, first: str, last: str, where: st
         return "the difference has no interval"
     unit = METRICS[of.metric].unit
     word = of.more if mean > 0 else of.less
-    direction = f"{word} by {_one(abs(mean), unit)}"
     if high - low < _SAME * max(1.0, abs(mean)):
-        direction = direction if abs(mean) > _SAME else "the same"
-        return f"{direction} in each of the {n} replicates, which leaves no spread for an interval"
+        apart = f"{word} by {_one(abs(mean), unit)}" if abs(mean) > _SAME else "the same"
+        of_which = "" if where == "at" else f" {where} {last} as against {first}"  # several words are compared
+        return f"{apart}{of_which} in each of the {n} replicates, which leaves no spread for an interval"
     span = f"difference {_one(mean, unit)} {_span(low, high)}"
     alike = _ALIKE_P * abs(float(pairs.value_first.mean()))
     if -alike < low and high < alike:

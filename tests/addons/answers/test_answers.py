@@ -116,6 +116,16 @@ def test_all_values_of_a_key_are_said_if_they_are_few(tmp_path):
     assert " at 0.1" not in str(many) and "at penetration 0 and " in str(many) and " at 0.4: " in str(many)
 
 
+def test_a_maximum_between_the_ends_is_said(tmp_path):
+    """Of five windows, the ends have one age of 3 s: that of 9 s between them was not said."""
+
+    def value(metric, keys, replicate):
+        return (9.0 if keys["trust.freshness_s"] == 20 else 3.0) + replicate
+
+    said = said_of(tmp_path, {"trust.freshness_s": (5.0, 10.0, 20.0, 50.0, 100.0)}, 3, value)[1]
+    assert " at window 5 s, 10 s [7.8, 12.8] at 20 s and 4 s [2.15, 7.44] at 100 s: " in said
+
+
 def test_where_alone_a_metric_has_a_value_is_said(tmp_path):
     """An AUC needs attackers, and the median was reached at one penetration alone."""
 
@@ -200,7 +210,10 @@ def test_a_baseline_among_words_is_the_reference_and_off_has_no_unit(tmp_path):
     study = study_of(tmp_path, swept, value=value, baseline={"trust.freshness_s": 10})
     *_, held = answers.sentences(study)
     assert "window 10 s" in str(held)
-    assert " window off, " in str(answers.sentences(study)[1]) and "off s" not in str(answers.sentences(study)[1])
+    said = str(answers.sentences(study)[1])
+    assert " with window 10 s, " in said and " with off and " in said and "off s" not in said
+    assert "older by 1 s with off as against 10 s in each of the 3 replicates" in said
+    assert "fresher by 1 s with 2 s as against 10 s in each of the 3 replicates" in said
     assert set(study.differences["trust.freshness_s"]) == {"off", "2"}
 
 
