@@ -124,7 +124,8 @@ def cautions(
     where: Mapping[str, str] | None = None,
     are_named: bool = True,
 ) -> list[str]:
-    """Lines to write below `pivot`: which of its means rest on runs with few subjects, such as one attacker.
+    """Lines to write below `pivot`: which of its means rest on runs with few subjects, such as one attacker, and which
+    depend on the window by their definition.
 
     Without `are_named`, lines do not name the metrics.
     """
@@ -137,10 +138,17 @@ def cautions(
     names = short_keys(study.keys)
     for key in keys:
         shown[key] = f"{names[key]} = " + shown[key].map(said)
+    is_capped = shown.metric.str.startswith("freshness.capped_age.").any()
+    lines = [_CAPPED] if is_capped and "trust.freshness_s" in keys else []
     shown["metric"] += (":" + shown.group).where(shown.group != "", "")
     if not are_named:
         shown["metric"] = ""
-    return study_notes.lines(shown, keys)
+    return lines + study_notes.lines(shown, keys)
+
+
+_CAPPED = (
+    "freshness.capped_age counts a lookup without an evaluation as the window: compare it at equal trust.freshness_s"
+)
 
 
 def together(study: StudyResults) -> list[str]:

@@ -411,6 +411,14 @@ def test_where_alone_a_metric_has_a_value_is_said_in_table_and_figure(tmp_path):
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["at penetration = 0.3 alone"]
 
 
+def test_ages_that_end_at_the_window_are_to_be_compared_at_equal_windows(tmp_path):
+    """The table showed them side by side, with differences, and the definition says that they cannot be compared."""
+    age = [("freshness.capped_age.mean_s", "all")]
+    for key, n_lines in (("trust.freshness_s", 1), ("fleet.penetration_p", 0)):
+        study = study_of(tmp_path / key, {key: (0.5, 1.0)}, value=lambda *_: 0.5, measured=age)
+        assert len(study_table.cautions(study, study.summary, ["freshness.capped_age.mean_s"])) == n_lines
+
+
 def test_keys_that_change_together_are_all_named(tmp_path):
     swept = {"trust.model": ("beta", "mate"), "trust.tau": (1.0, 2.0)}
     study = study_of(tmp_path, swept, value=lambda metric, keys, r: keys["trust.tau"] + 0.1 * r)

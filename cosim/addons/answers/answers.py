@@ -347,9 +347,11 @@ def _left_out(study: StudyResults, of: _Quantity) -> str:
     rows = study.summary[of_all]
     if rows.empty or not _is_age(of):
         return ""
+    is_swept = _WINDOW in apart(study.points, study.keys)
+    where = " at equal windows" if is_swept else ""
     return (
-        "a lookup that finds no evaluation has no age, so what is fresher is told by freshness.capped_age and by the "
-        f"share that finds a fresh one, {_range(rows['mean'])} on average"
+        f"a lookup that finds no evaluation has no age, so what is fresher is told by freshness.capped_age{where} and "
+        f"by the share that finds a fresh one, {_range(rows['mean'])} on average"
     )
 
 

@@ -226,6 +226,10 @@ def test_the_share_of_fresh_evaluations_is_that_of_all_lookups(tmp_path):
     found = pd.read_parquet(path)
     found.assign(value=found.value.where(found.group == "all", 0.1)).to_parquet(path)
     assert "a fresh one, 50 % on average" in answers.sentences(study)[1].note
+    assert "capped_age and by" in answers.sentences(study)[1].note
+    windows = {"trust.freshness_s": (2.0, 10.0)}
+    of_windows = study_of(tmp_path / "windows", windows, measured=measured, value=lambda metric, keys, r: 0.5)
+    assert "capped_age at equal windows and by" in answers.sentences(of_windows)[1].note
 
 
 def test_a_share_of_encounters_is_of_equipped_vehicles_and_says_which_are_not_over(tmp_path):
