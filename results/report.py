@@ -159,8 +159,8 @@ def _facts(numbers: pd.DataFrame) -> str:
         if len(rows) and rows.value.notna().iloc[0]:
             row = rows.iloc[0]
             where = f" ({row.group})" if group is None and row.group else ""
-            where += f", {row.note}" if row.note == "has not attacked" else ""
-            where += ", no better than chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
+            where += f", {row.note}" if row.note else ""
+            where += ", may be chance" if metric.endswith("auc") and row.low <= 0.5 <= row.high else ""
             value = _number(row.value, row.unit)
             boxes.append(f"<div><b>{value}</b><span>{escape(text + where)}</span></div>")
     return f'<div class="facts">{"".join(boxes)}</div>'

@@ -152,10 +152,10 @@ def _a(word: str) -> str:
 
 
 def _comparison(role: str, row: Mapping[str, Any], is_first: bool) -> str:
-    """The area under the ROC curve in words. If its interval contains 0.5, it is no better than chance."""
+    """The area under the ROC curve in words. If its interval contains 0.5, it may be chance."""
     low, high = row["low"], row["high"]
     known = low == low and high == high
-    chance = ": no better than chance" if known and low <= 0.5 <= high else ""
+    chance = ": may be chance" if known and low <= 0.5 <= high else ""
     interval = f" ({'95 % interval ' if is_first else ''}{low:.0%} to {high:.0%}{chance})" if known else ""
     who = "an honest vehicle has more trust than " if is_first else "than "
     return f"{row['value']:.0%} of the time {who}{_a(role)} one{interval}"

@@ -5,6 +5,7 @@ import re
 from html.parser import HTMLParser
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from results import report
@@ -64,6 +65,15 @@ def test_page_of_a_summary_with_a_name_of_markup(tmp_path):
     assert "a &lt;b&gt; &amp; c" in text and "<b> & c" not in text
     assert "No figure of freshness" in text and "holds no trust lookups" in text
     assert "not in this run: kept from record level full up" in text
+
+
+def test_the_numbers_to_read_first_have_their_notes():
+    """With few attackers, it was not said that none of them has attacked. An interval about 0.5 proves no chance."""
+    few = "has not attacked; too few: 7 of 10 vehicles"
+    row = {"value": 0.7, "low": 0.4, "high": 0.9, "n_units": 7, "unit": "1", "label": "", "note": few}
+    metrics = ("trust.final.median", "misbehaviour.at_lookup.auc")
+    said = report._facts(pd.DataFrame([row | {"metric": metric, "group": "malicious"} for metric in metrics]))
+    assert f"final trust, malicious, {few}<" in said and f"against malicious, {few}, may be chance<" in said
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,8 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         ],
         "trust": ["0.78 honest, 0.56 malicious: medians of last values, from 0 to 1"],
         "told apart": [
-            "55% of the time an honest vehicle has more trust than an unreliable one (95 % interval 38% to 71%: no "
-            "better than chance); 93% of the time than a malicious one (88% to 96%), when trust is looked up"
+            "55% of the time an honest vehicle has more trust than an unreliable one (95 % interval 38% to 71%: may "
+            "be chance); 93% of the time than a malicious one (88% to 96%), when trust is looked up"
         ],
         "freshness": [
             "4.0 s old is the newest evaluation behind a trust value that is used, and one in ten is older than 5.8 s; "
