@@ -142,6 +142,11 @@ class StudyResults:
         found._folder = self._folder
         return found
 
+    def held(self, frame: pd.DataFrame, key: str, text: str) -> pd.DataFrame:
+        """Rows of a table of the study at which a swept key has this value; ValueError if no point has it."""
+        values = held_at(self.points, key, text)[key]
+        return frame[frame[key].isin(values)]
+
     def check_swept(self, *names: str, more: Sequence[str] = ()) -> None:
         """Raise ValueError if one of these names is no swept key, nor one of `more`."""
         known = dict.fromkeys([*self.keys, *more])

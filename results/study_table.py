@@ -180,7 +180,7 @@ def unpaired(
     rows = chosen(study.summary, metrics)
     names = set(zip(rows.metric, rows.group, strict=True))
     for key, text in (where or {}).items():
-        rows = held_at(rows, key, text)
+        rows = study.held(rows, key, text)
     pairs = study.differences
     is_asked = [name in names for name in zip(pairs.metric, pairs.group, strict=True)]
     lines = []

@@ -240,15 +240,14 @@ def measure(
 
 def _rows(study, table, metrics: list[str], held: dict[str, str]):
     """Rows of these metrics at these values of keys. A baseline has no differences to itself."""
-    from results.study import chosen, held_at
+    from results.study import chosen
 
     shown = chosen(study.summary, metrics) if metrics else study.summary
     names = set(zip(shown.metric, shown.group, strict=True))
     study.check_swept(*held)
     kept = table[[name in names for name in zip(table.metric, table.group, strict=True)]]
     for key, text in held.items():
-        values = held_at(study.points, key, text)[key]
-        kept = kept[kept[key].isin(values)]
+        kept = study.held(kept, key, text)
     return kept
 
 

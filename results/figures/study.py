@@ -25,6 +25,7 @@ from results.study import (
     one_group,
     said,
     several_groups,
+    short_names,
     that_matter,
     with_short_names,
     within_run,
@@ -124,6 +125,15 @@ def draw(
         keys += ["radius_m", "pairs"]
     else:
         asked = tuple(one_group(frame, name) for name in asked)
+    here = held(study, chosen(frame, asked), keys, where or {})
+    lacking = []
+    for name in asked:
+        rows = chosen(frame, [name]).index
+        if not rows.isin(here.index).any():
+            lacking.append(name)
+    if metrics and lacking:
+        raise ValueError(f"{study.name} has no value of {lacking[0]} where others have one. Leave it out.")
+    asked = tuple(name for name in asked if name not in lacking)
     frame = held(study, frame, keys, where or {})
     study.check_swept(*filter(None, (over, by)), more=keys)
     of_metrics = chosen(frame, asked)
@@ -197,7 +207,12 @@ def held(
     """Rows at which swept keys have these values; ValueError if there are none, with the values that there are."""
     study.check_swept(*where, more=keys)
     for key, value in where.items():
-        frame = held_at(frame, key, str(value))
+        hold = study.held if key in study.keys else held_at
+        rows = hold(frame, key, str(value))
+        if rows.empty:
+            some = ", ".join(short_names(frame[key]).values())
+            raise ValueError(f"{study.name} has no value of these metrics at {key} = {value}. It has some at {some}.")
+        frame = rows
     return frame
 
 

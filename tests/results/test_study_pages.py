@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
@@ -409,6 +410,29 @@ def test_where_alone_a_metric_has_a_value_is_said_in_table_and_figure(tmp_path):
     assert table["fleet.penetration_p"].tolist() == ["0.3", "0.1", "0.3"]
     figure = study_figure.draw(study, "encounters")
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["at penetration = 0.3 alone"]
+
+
+def test_points_without_a_value_of_a_metric_are_points(tmp_path):
+    """It was said that there are no points without attackers, or that the study had not measured the metric."""
+    trust, auc = "trust.final.median", "misbehaviour.at_lookup.auc:malicious"
+    measured = [(trust, "honest"), (trust, "malicious"), tuple(auc.split(":"))]
+
+    def value(metric, keys, replicate):
+        is_there = keys["attacks.0.share_p"] or next(groups) == "honest"
+        return 0.5 + 0.1 * keys["fleet.penetration_p"] if is_there else np.nan
+
+    swept, groups = {"fleet.penetration_p": (0.1, 0.3), "attacks.0.share_p": (0.0, 0.1)}, cycle(("honest", "malicious"))
+    study = study_of(tmp_path, swept, value=value, baseline={"fleet.penetration_p": 0.1}, measured=measured)
+    nobody = {"attacks.0.share_p": "0"}
+    assert study_table.unpaired(study, [auc], nobody) == []
+    (axes,) = study_figure.draw(study, "trust", where=nobody).axes
+    assert axes.get_ylabel().replace("\n", " ") == "final trust, median, honest"
+    with pytest.raises(ValueError, match=r"has no value of these metrics at attacks.0.share_p = 0\. It has some at 0"):
+        study_figure.draw(study, "misbehaviour", where=nobody)
+    with pytest.raises(ValueError, match=f"has no value of {auc} where others have one"):
+        study_figure.draw(study, "", [f"{trust}:honest", auc], where=nobody)
+    with pytest.raises(ValueError, match=r"no point has attacks.0.share_p = 0.7. There are 0, 0.1.$"):
+        study_figure.draw(study, "trust", where={"attacks.0.share_p": "0.7"})
 
 
 def test_ages_that_end_at_the_window_are_to_be_compared_at_equal_windows(tmp_path):
