@@ -3,6 +3,7 @@
 import base64
 import io
 import os
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
@@ -107,12 +108,18 @@ _LETTERS = 15
 
 
 def fitted(text: str, letters: int = 45) -> str:
-    """Text in lines of so many letters; left out, as many as a whole width takes."""
+    """Text in lines of so many letters; left out, as many as a whole width takes. Longer words lose their middle."""
+    half = max(letters, _SHORTEST) // 2 - 1
+    short = re.sub(rf"(\S{{{half}}})\S{{3,}}(\S{{{half}}})", r"\1…\2", text)
     return "\n".join(
         part
-        for line in text.split("\n")
+        for line in short.split("\n")
         for part in textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False)
     )
+
+
+_SHORTEST = 20
+"""No word of fewer letters is shortened, however narrow the place."""
 
 
 def share_axis(axes: Axes, top: float = 1.0) -> None:
@@ -161,7 +168,7 @@ def shares_bar(axes: Axes, at: float, shares: Sequence[float], fills: Sequence[s
 
 def bars_axis(axes: Axes, labels: Sequence[str]) -> None:
     """Axes for such bars."""
-    axes.set_yticks(range(len(labels)), labels)
+    axes.set_yticks(range(len(labels)), [fitted(label, 20) for label in labels])
     axes.set_ylim(len(labels) - 0.2, -0.8)
     axes.set_xlim(0, 1)
     axes.grid(visible=False, axis="y")
@@ -414,7 +421,7 @@ FLATTEST = 0.3
 
 def map_panel(axes: Axes, title: str) -> None:
     """A panel that shows places from above, in metres; of a single street, more than the street."""
-    panel(axes, title, "East [m]", "North [m]")
+    panel(axes, fitted(title, 34), "East [m]", "North [m]")
     axes.set_aspect("equal")
     width_m, height_m = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
     axes.set_xlim(_widened(axes.get_xlim(), height_m))

@@ -233,6 +233,17 @@ def test_many_lines_leave_room_for_their_panel(tmp_path):
     assert np.ptp(at, axis=1).max() < 0.5 < np.diff(at.mean(axis=1)).min(), "nearer to their word than to the next"
 
 
+def test_runs_with_long_names_leave_room_for_their_panels(run, tmp_path):
+    """The names of four rows left an eighth of the width to the bars."""
+    for i in range(4):
+        (tmp_path / f"{MODELS[0]}_and_something_more_{i}").symlink_to(run.path)
+    runs = [open_run(path) for path in sorted(tmp_path.iterdir())]
+    bars = FIGURES["freshness"](runs).axes[1]
+    assert bars.get_window_extent().width / style.DPI > 0.5 * style.WIDTH
+    names = [label.get_text() for label in bars.get_yticklabels()]
+    assert len(set(names)) == 4 and max(map(len, names)) <= 20
+
+
 def test_numbers_under_an_axis_do_not_stand_on_one_another(tmp_path):
     swept = {"attacks.0.share_p": (0.0, 0.001, 0.1, 0.5)}
     study = study_of(tmp_path, swept, 1, lambda *_: 0.7, measured=[("trust.final.median", "honest")])
