@@ -127,12 +127,14 @@ class StudyFolder:
             (self.job(id) / name).unlink(missing_ok=True)
 
     def answers(self) -> dict[str, tuple[str, str]]:
-        """Run and trust variant by point, for all planned points; finished runs take precedence."""
+        """Run and trust variant by point, for all planned points. Finished runs take precedence, then the run that was
+        planned last: what a study asks for may have changed since an earlier one."""
         found: dict[str, tuple[str, str]] = {}
-        jobs = sorted(path.parent.name for path in (self.path / "jobs").glob("*/job.json"))
-        for id in sorted(jobs, key=lambda id: not self.is_finished(id)):
-            for point, variant in _members(self.job(id) / "job.json").items():
-                found.setdefault(point, (id, variant))
+        jobs = sorted((self.path / "jobs").glob("*/job.json"))
+        jobs.sort(key=lambda path: path.stat().st_mtime_ns, reverse=True)
+        for path in sorted(jobs, key=lambda path: not self.is_finished(path.parent.name)):
+            for point, variant in _members(path).items():
+                found.setdefault(point, (path.parent.name, variant))
         return found
 
     def state(self, id: str) -> str:

@@ -1,6 +1,7 @@
 """Study folders whose files say something else than a sweep writes: one line each, that names the file."""
 
 import json
+import os
 
 import pandas as pd
 import pyarrow as pa
@@ -34,6 +35,17 @@ def test_attempts_and_a_manifest(tmp_path, text):
         folder.attempts("a")
     (tmp_path / "manifest.json").write_text(text)
     assert status_of(tmp_path) == ""
+
+
+def test_a_point_has_the_state_of_the_run_that_was_planned_last(tmp_path):
+    """After an own metric had been added, its failure was hidden by an earlier run without it, of a name before."""
+    folder = StudyFolder(tmp_path)
+    for when, id in enumerate(("a", "b")):
+        folder.job(id).mkdir(parents=True)
+        job = folder.job(id) / "job.json"
+        job.write_text('{"members": {"p": "base"}}')
+        os.utime(job, ns=(when, when))
+    assert folder.answers() == {"p": ("b", "base")}
 
 
 def study(folder, head=HEAD, point=POINT, row=ROW):
