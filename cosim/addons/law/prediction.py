@@ -57,6 +57,9 @@ METRICS = {
 }
 """Predicted metrics and their labels."""
 
+_UNEVALUATED = "freshness.lookup_state.share:unevaluated"
+"""With `trust.unseen = "zero"` alone there are such lookups; else their share is 0 without any error."""
+
 MODEL_ERROR = {
     "freshness.newest_evaluation_age.median_s": 0.04,
     "freshness.newest_evaluation_age.p90_s": 0.09,
@@ -65,13 +68,14 @@ MODEL_ERROR = {
     "freshness.value_age.median_s": 0.06,
     "freshness.lookup_state.share:evaluated": 0.018,
     "freshness.lookup_state.share:stale": 0.01,
-    "freshness.lookup_state.share:unevaluated": 0.0,
+    _UNEVALUATED: 0.018,
     "freshness.lookup_state.share:no value": 0.018,
     "freshness.evaluators.mean": 0.055,
     "freshness.encounters_without_trust.share": 0.025,
 }
 """How far runs lie outside the range that chance alone explains, in all but one of twenty: as a share of the value, and
-for shares of lookups and encounters in absolute terms. The page `models/freshness-law` says from which runs."""
+for shares of lookups and encounters in absolute terms. The page `models/freshness-law` says from which runs. In these,
+no lookup was unevaluated: that error is the one of lookups without a value, which they would be else."""
 
 
 def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Prediction:
@@ -82,7 +86,8 @@ def with_intervals(own: Prediction, runs: Sequence[Mapping[str, float]]) -> Pred
         values = values[np.isfinite(values)]
         if len(values) and np.isfinite(value):
             scale, largest = (1.0, 1.0) if "share" in name else (value, np.inf)
-            error = MODEL_ERROR[name] * scale
+            is_none = name == _UNEVALUATED and value == 0
+            error = 0.0 if is_none else MODEL_ERROR[name] * scale
             low[name] = max(0.0, float(values.min()) - error)
             high[name] = min(float(values.max()) + error, largest)
     return replace(own, low=low, high=high)

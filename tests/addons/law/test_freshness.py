@@ -90,6 +90,15 @@ def test_intervals_by_hand():
     assert found.low == pytest.approx({names[0]: 1.39}) and found.high == pytest.approx({names[0]: 3.11})
 
 
+def test_lookups_that_are_not_evaluated_have_the_error_of_those_without_a_value():
+    """The interval had no width: 0.0312 to 0.0312 for the variant `paper`, of which a run has 0.0299."""
+    none, name = np.zeros(1), "freshness.lookup_state.share:unevaluated"
+    for value, low, high in ((0.0312, 0.0132, 0.0492), (0.0, 0.0, 0.0)):
+        own = Prediction("paper", 1.0, 50.0, none, none, none, none, {name: value})
+        found = with_intervals(own, [{name: value}])
+        assert (found.low[name], found.high[name]) == pytest.approx((low, high))
+
+
 def test_no_interval_of_a_share_is_above_one():
     none, name = np.zeros(1), "freshness.lookup_state.share:no value"
     own = Prediction("base", 1.0, 50.0, none, none, none, none, {name: 1.0})
