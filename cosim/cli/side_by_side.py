@@ -63,6 +63,9 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
         print_rows(str(runs[0].path), rows_of(tables[0]))
     else:
         print_table(_side_by_side(labels, tables, keys))
+        if pd.concat(tables).low.notna().any():
+            line = "These values have intervals and notes: cosim measure of one run prints them, and --csv writes them."
+            screen.print(line, soft_wrap=True)
 
 
 def _one_table(

@@ -1,9 +1,10 @@
 """The summary of a run: a line per topic, numbers first, and what is chance."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from cosim.cli.side_by_side import remarks
+from cosim.cli.side_by_side import print_measures, remarks
 from cosim.cli.summary import _summary, print_run_summary
 from cosim.config.config import load
 from cosim.runs.run import run
@@ -141,6 +142,17 @@ def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys)
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
     print_run_summary(folder, as_json=False)
     assert "none: the config defines no [[encounters]]" in capsys.readouterr().out
+
+
+def test_values_side_by_side_say_where_their_intervals_are(tmp_path, capsys):
+    """Nothing told a reader that two medians of trust are apart by chance."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    runs = [make(tmp_path / name, 2, vehicles=fleet("honest")) for name in ("a", "b")]
+    row = {"metric": "trust.final.median", "group": "honest", "value": 0.7, "low": 0.6, "high": 0.8}
+    for low, n_lines in ((0.6, 1), (NAN, 0)):
+        print_measures(runs, 2 * [pd.DataFrame([row | {"low": low}])], as_json=False, csv=None)
+        assert capsys.readouterr().out.count("have intervals and notes") == n_lines
 
 
 def test_runs_of_one_config_that_simulated_different_times_are_noted(tmp_path):
