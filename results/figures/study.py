@@ -137,11 +137,11 @@ def draw(
     frame = held(study, frame, keys, where or {})
     study.check_swept(*filter(None, (over, by)), more=keys)
     of_metrics = chosen(frame, asked)
-    varied = [key for key in keys if of_metrics[key].nunique() > 1]
+    order = [key for key in (over, by) if key]
+    varied = apart(of_metrics, list(dict.fromkeys([*order, *keys])))
     if lean or len(varied) > 3:
         matter = _matter(study, asked, where or {})
         varied = [key for key in varied if key in matter or key not in study.keys]
-    order = [key for key in (over, by) if key]
     order += [key for key in for_axes(of_metrics, varied) if key not in order]
     free = [key for key in apart(of_metrics, study.keys) if key not in order]
     frame = at_first(frame, free, order)

@@ -92,7 +92,8 @@ def draw(
     matter = _keys_of(study, frame)
     study.check_swept(*filter(None, [by]))
     if by is not None:
-        matter = [by, *(key for key in matter if key != by)]
+        others = apart(frame, list(dict.fromkeys([by, *matter])))
+        matter = [by, *(key for key in others if key != by)]
     if what == ENCOUNTERS and frame.group.nunique() > 1:
         matter = [*matter[:1], "group", *matter[1:]]
     if len(matter) > 2:

@@ -451,6 +451,22 @@ def test_keys_that_change_together_are_all_named(tmp_path):
     assert "trust.tau changes with trust.model: 1 at beta, 2 at mate" in study_report.page(study)
 
 
+def test_keys_that_change_together_have_one_axis(tmp_path):
+    """The radius had a colour for each place of the range on the axis, so that no line joined two points."""
+    swept = {"radio.range_m": (50.0, 100.0), "encounters.0.radius_m": (50.0, 100.0), "trust.freshness_s": (2.0, 10.0)}
+
+    def value(metric, keys, replicate):
+        return keys["radio.range_m"] + keys["trust.freshness_s"] + replicate
+
+    study = study_of(tmp_path, swept, value=value, measured=MEASURED[1:2])
+    study.points = study.points[study.points["radio.range_m"] == study.points["encounters.0.radius_m"]]
+    with_curves(study, lambda keys, r: [(value("", keys, r), 4, 1)], "ages")
+    for over, x in ((None, "range [m]"), ("encounters.0.radius_m", "radius [m]")):
+        (axes,) = study_figure.draw(study, "freshness", over=over).axes
+        assert axes.get_xlabel() == x and [len(line.lines[0].get_xdata()) for line in axes.containers] == [2, 2]
+        assert len(curve_figure.draw(study, "ages", by=over).axes) == 2
+
+
 def test_curves_of_keys_without_each_combination(tmp_path):
     """As in a [[zip]]: of the second scale there is one penetration. Axis labels of panels leave the legend free."""
     swept = {"fleet.penetration_p": (0.1, 0.3), "traffic.scale": (0.5, 1.0)}
