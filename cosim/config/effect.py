@@ -45,6 +45,7 @@ _RULES: Mapping[str, Callable[[Any, str], bool]] = {
     "read_by_a_model": _is_read,
     "drawn": lambda attack, _: not attack.ids and attack.together_with is None,
     "no_windows": lambda attack, _: attack.period_windows is None,
+    "jammers": lambda config, _: any(attack.attack == "jamming" for attack in config.attacks),
     "at_junctions": lambda unit, _: unit.junctions is not None,
 }
 """Conditions that compare more than one key with values. They take the config or the section, and the key in need."""
