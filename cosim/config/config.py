@@ -431,11 +431,12 @@ def _take_own_of_all(
                 if isinstance(item, dict):
                     if item.get("attack") == "unreliable":
                         item.setdefault("role", "unreliable")
-                    own[f"{section}.{number}"] = _take_own(item, section, AttackParams, where, folder)
+                    place = f"{section}.{number}"
+                    own[place] = _take_own(item, section, place, AttackParams, where, folder)
             continue
         given = data.setdefault(section, {})
         if isinstance(given, dict):
-            own[section] = _take_own(given, section, types[section], where, folder)
+            own[section] = _take_own(given, section, section, types[section], where, folder)
     return own
 
 
@@ -531,7 +532,7 @@ def _variant(
     if not isinstance(fused, bool):
         raise ValueError(f"{place}.fused = {fused!r} should be true or false. Set it in {where}.")
     merged = trust | changes
-    own = _take_own(merged, "trust", TrustParams, where, folder)
+    own = _take_own(merged, "trust", place, TrustParams, where, folder)
     if "model" in changes:
         changes["model"] = merged["model"]
     check_keys(merged, TrustParams, f"{place}.", where)
@@ -542,13 +543,15 @@ def _variant(
 def _take_own(
     section: dict[str, Any],
     name: str,
+    place: str,
     declared: Any,
     where: str,
     folder: Path | None,
 ) -> dict[str, Any]:
     """Remove the chosen class's own parameters from a section, check them and return them.
 
-    `declared` is the dataclass of the section. The name of the class in the section becomes absolute.
+    `name` is that of the section, `place` where the user wrote it (`attacks.0`), `declared` its dataclass. The name of
+    the class in the section becomes absolute.
     """
     kind = SECTIONS[name]
     default = next(f.default for f in fields(declared) if f.name == kind.key)
@@ -564,12 +567,12 @@ def _take_own(
     of_class = {f.name for f in fields(choice.params)} - of_section
     taken = {key: section.pop(key) for key in list(section) if key in of_class}
     if unknown := [key for key in section if key not in of_section]:
-        raise unknown_key(unknown[0], sorted(of_section | of_class), f"{name}.", where)
-    check_finite(taken, name, where)
-    values = asdict(_params(choice, taken, name, where))
+        raise unknown_key(unknown[0], sorted(of_section | of_class), f"{place}.", where)
+    check_finite(taken, place, where)
+    values = asdict(_params(choice, taken, place, where))
     own = {key: value for key, value in values.items() if key in of_class}
     _check_plain(own, choice)
-    check_finite(own, name, choice.source.file or where)
+    check_finite(own, place, choice.source.file or where)
     return own
 
 

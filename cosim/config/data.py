@@ -107,10 +107,15 @@ def validated(model: Any, data: Any, prefix: str, where: str) -> Any:
         name = ".".join([prefix, *keys] if prefix else keys)
         if first["type"] == "value_error":
             raise ValueError(first["msg"].removeprefix("Value error, ")) from None
+        if first["type"] == "missing" and keys[-1].isdecimal():
+            listed = name.rpartition(".")[0]
+            said = f"{listed} = {first['input']}: too few values. `cosim explain {listed}` says which."
+            raise ValueError(said) from None
         if first["type"] == "missing":
             raise ValueError(f"{name}: missing. Set {name} in {where}.") from None
         of_same_key = [one for one in more if _keys(one["loc"], data) == keys]  # one of each type that it can have
         reasons = [one["msg"].removeprefix("Input should be ") for one in (first, *of_same_key)]
+        reasons = ["a list" if reason == "a valid array" else reason for reason in reasons]
         reason = " or ".join(dict.fromkeys(reasons))
         raise ValueError(f"{name} = {first['input']!r} should be {reason}. Set {name} in {where}.") from None
 
@@ -148,8 +153,8 @@ def check_keys(data: dict[str, Any], model: Any, prefix: str, where: str) -> Non
         if is_dataclass(of_items):
             if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
                 raise ValueError(f"{full} should be a list of sections [[{full}]] in {where}.")
-            for item in value:
-                check_keys(item, of_items, full + ".", where)
+            for number, item in enumerate(value):
+                check_keys(item, of_items, f"{full}.{number}.", where)
         elif is_dataclass(type_):
             if not isinstance(value, dict):
                 raise ValueError(f"{full} = {value!r} should be a section [{full}] in {where}.")

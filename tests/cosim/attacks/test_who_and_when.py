@@ -143,7 +143,7 @@ def test_newcomers_change_after_a_time():
     ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "there are no windows"),
     ({"attacks": [{"attack": "gohst"}]}, 'attacks.attack = "gohst": no such choice'),
     ({"attacks": [{"attack": "offset", "min_m": 9.0, "max_m": 3.0}]}, "min_m = 9 m is above attacks.max_m = 3 m"),
-    ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.ghosts: unknown key"),
+    ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.0.ghosts: unknown key"),
     ({"attacks": [{"victim": "one"}]}, "Set attacks.0.victim_id"),
     ({"attacks": [{"victim_id": "v1"}]}, 'used only with victim = "one"'),
     ({"attacks": [{"together_with": 0}]}, "no earlier section"),

@@ -131,7 +131,7 @@ FOOTPATH = NET + (
         (["run", "--set", "lidar.elevation_deg=[3, 1]"], "ascending order"),
         (["run", "--set", "lidar.fov_deg=400"], "lidar.fov_deg"),
         (["run", "--set", "radio.range_m=4e4"], "radio.range_m = 40000.0 should be less than or equal to 32000"),
-        (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0.2: missing"),
+        (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0 = [1, 1]: too few values. `cosim explain rsu.at.0`"),
         (["measure", "full", "--threshold", "7"], "threshold"),
         (["run", "--frobnicate"], "No such option"),
         (["nets", "build", "town.osm", "--out", "x"], "takes no more without the name of an option"),

@@ -116,7 +116,7 @@ def test_steps():
         ("attacks.2.share_p=0.1", r"attacks has 2 sections, numbered from 0\. .* what it is: attacks\.2\.attack\.$"),
         ("fleet.malicious_p=0.95", "fleet.malicious_p: unknown key"),
         ("sensing_interval_s=0.7", "not a multiple of traffic.step_s"),
-        ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.radius_m"),
+        ("encounters=[{radius=3}]", "unknown key .* Did you mean encounters.0.radius_m"),
         ("encounters=3", "list of sections"),
         ("record.level='all'", "record.level"),
         ("no_equals", "not of the form key=value"),
