@@ -88,7 +88,7 @@ class LidarParams:
     """The LiDAR that every equipped vehicle carries."""
 
     profile: ProfileName = "hdl64e_front"
-    """Product whose beams are used; the next three keys replace parts of it."""
+    """Product whose beams are used; `elevation_deg`, `n_azimuths` and `fov_deg` replace parts of it."""
     elevation_deg: tuple[float, ...] | None = None
     """Elevation of each beam, ascending [deg]; none means that of the profile."""
     n_azimuths: Annotated[int, Gt(0), Le(100_000)] | None = None

@@ -90,13 +90,16 @@ def _keys() -> Iterator[Explanation]:
     for section in sections():
         of = f", {section.title}" if " = " in section.title else ""
         if section.about and not of:
-            yield Explanation(section.title.strip("[]"), "section of the config", section.about)
+            names = ", ".join(key.name.rpartition(".")[2] for key in section.keys)
+            about = f"{section.about} Keys: {names}." if names else section.about
+            yield Explanation(section.title.strip("[]"), "section of the config", about)
+        is_listed = section.title.startswith("[[")
         for key in section.keys:
             facts = filter(None, (key.kind, key.bounds, f"default {key.default}"))
             about = "; ".join(facts).replace("`", "")
-            yield Explanation(
-                key.name, f"key of the config{of}", f"{key.meaning} ({about})", f"cosim check --set {key.name}=..."
-            )
+            where = key.name.replace(".", ".0.", 1) if is_listed else key.name
+            kind = f"key of the config{of}"
+            yield Explanation(key.name, kind, f"{key.meaning} ({about})", f"cosim check --set {where}=...")
 
 
 def _choices() -> Iterator[Explanation]:

@@ -11,6 +11,8 @@ from cosim.addons.explain.glossary import GLOSSARY
 from cosim.addons.explain.key_docs import keys
 from cosim.addons.explain.lookup import look_up
 from cosim.config import preset
+from cosim.config.config import with_defaults
+from cosim.config.data import assign
 from cosim.door.kinds import KINDS
 from cosim.traffic.scenario import find
 from results import tables
@@ -27,6 +29,8 @@ from tests.drive import assert_refused, cosim, drive
         ("--set radio.range_m=3", "radio.range_m", "key of the config", "300"),
         ("n_ghosts", "attacks.n_ghosts", 'key of the config, [[attacks]] attack = "sybil"', "ghost"),
         ("AUC", "ROC, AUC", "term", "receiver operating characteristic"),
+        ("channel busy ratio", "CBR, channel busy ratio", "term", "Share of the time"),
+        ("radio.dcc", "radio.dcc", "section of the config", "t_off_s"),
         ("equipped vehicle", "equipped vehicle", "term", "LiDAR"),
         ("misbehaviour.auc", "misbehaviour.auc", "metric", ""),
         ("trust_lookups", "trust_lookups", "table of a run", "before fusion"),
@@ -63,6 +67,14 @@ def test_everything_that_has_a_name_is_found():
     known = {entry.name for entry in entries}
     assert set(names) <= known
     assert [entry.name for entry in entries if len(entry.meaning) < 4] == []
+
+
+def test_a_key_is_set_as_its_explanation_says():
+    """Also a key of a list of sections, such as `attacks.0.share_p`."""
+    set_by = [e.where.split("--set ")[1].removesuffix("=...") for e in lookup._keys() if "--set " in e.where]
+    assert {"attacks.0.share_p", "radio.range_m", "trust_variant.0.name"} <= set(set_by)
+    for name in set_by:
+        assign(with_defaults({}), name, 1, name)
 
 
 def test_a_metric_is_defined_without_the_one_before():
