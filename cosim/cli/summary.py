@@ -125,7 +125,7 @@ def _encounters(get: Get) -> list[str]:
 def _trust(get: Get) -> list[str]:
     final = get("trust.final.median")
     if not final:
-        return ["no trust was computed"]
+        return ["no trust was computed; `cosim measure RUN --metric trust` says why"]
     medians = [f"{row['value']:.2f} {role}" for role, row in final.items()]
     return [f"{', '.join(medians)}: medians of last values, from 0 to 1"]
 

@@ -164,7 +164,8 @@ def _asked(run: Run, query: str, **values: Any) -> pd.DataFrame:
             raise run.lacks("effect of an attack", "the variant fuses nothing. Give it fused = true and run again.")
         raise run.lacks(
             "effect of an attack",
-            "no fabricated or false object reached another vehicle. Raise the share_p of an attack that sends some, or "
-            "run longer than its start_s; attacks on evaluations have no such effect.",
+            "no fabricated object reached another vehicle, and no message that withholds one. Raise the share_p of an "
+            "attack that sends some, or run longer than its start_s. Attacks that change real detections or "
+            "evaluations have no such effect; the topic misbehaviour measures those.",
         )
     return found
