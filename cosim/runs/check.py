@@ -235,7 +235,7 @@ def _few_clouds(config: Config) -> list[str]:
     return [
         f"note: early_fusion.max_age_s = {oldest_s:g} is shorter than a step of {step_s:g} s. Only clouds of vehicles "
         f"that sense in the same step are merged: those of one in {n_phases}. early_fusion.max_age_s = "
-        f"{interval_s - step_s:g} merges those of all."
+        f"{interval_s - step_s:g} merges those of all, and blurs what moves."
     ]
 
 

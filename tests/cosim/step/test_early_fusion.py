@@ -243,7 +243,7 @@ def test_a_note_where_most_clouds_are_too_old():
 
     world = "preset=modern", 'early_fusion.share="objects"'
     (line,) = of_clouds(*world)
-    assert "one in 5" in line and "early_fusion.max_age_s = 0.8" in line
+    assert "one in 5" in line and "early_fusion.max_age_s = 0.8 merges those of all, and blurs what moves" in line
     assert not of_clouds(*world, "early_fusion.max_age_s=0.8")
     assert not of_clouds("preset=modern")
     assert not of_clouds('early_fusion.share="objects"')  # all sense at once
