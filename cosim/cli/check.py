@@ -79,11 +79,12 @@ def _print_config(experiment: "Config", path: Path | None, loaded: dict[str, str
 
     found = changes(experiment, path)
     what = f"the default of preset {experiment.preset}"
-    head = f"{len(found)} keys differ from {what}:" if found else f"no key differs from {what}"
+    n_keys = "1 key differs" if len(found) == 1 else f"{len(found)} keys differ"
+    head = f"{n_keys} from {what}:" if found else f"no key differs from {what}"
     cost = cost_of(experiment)
     print_facts(
         {
-            "config": [head.replace("1 keys differ", "1 key differs"), *(f"  {change.line}" for change in found)],
+            "config": [head, *(f"  {change.line}" for change in found)],
             **{topic: [line] for topic, line in loaded.items()},
             "vehicles": [_vehicles(cost)],
             **({"per second": [_per_second(cost)]} if experiment.sensing else {}),

@@ -72,6 +72,8 @@ def draw(runs: Sequence[Run], every_s: float = 10.0, cell_m: float = 50.0) -> Fi
         style.share_axis(axes)
     for axes in (distance, timed, busy):
         axes.set_xlim(left=0)
+    for axes in (timed, busy):  # of a run shorter than two windows there is one point
+        axes.set_xlim(right=max(axes.get_xlim()[1], every_s))
     most = pd.Series([float(run.radio.cbr.max()) for run in runs]).max()
     if most == most:
         busy.set_ylim(0, 1.1 * max(most, 1e-3))

@@ -66,6 +66,7 @@ def test_too_few_messages_for_a_curve_are_said(tiny):
         latency_histogram=[{"latency_s": 0.001, "n_delivered": 4}],
     )
     panels = FIGURES["radio"]([run, run]).axes  # of one run, maps want vehicles
+    assert {axes.get_xlim() for axes in panels[4:6]} == {(0.0, 10.0)}  # one window; the axis ended after 0.06 s
     for axes in (panels[0], panels[3]):
         assert not axes.lines and axes.texts[0].get_text().startswith("too few messages")
     under_way = {"a": 0, "b": 1, "start_step": 0, "end_step": 1, "censored_left": True, "radius_m": 50}

@@ -119,8 +119,13 @@ def test_check_of_a_study_says_what_it_takes(begun):
     assert "half of it: --set traffic.duration_s=18000" in long
 
 
-def test_check_of_the_default_changes_nothing():
-    assert "no key differs" in cosim("check").stdout
+@pytest.mark.parametrize(("n", "says"), [(0, "no key differs"), (1, "1 key differs from"), (11, "11 keys differ from")])
+def test_check_counts_the_keys_that_differ(n, says):
+    changes = (
+        "seed=5 traffic.seed=2 traffic.duration_s=60 fleet.penetration_p=0.5 trust.freshness_s=9 trust.tau=0.2 "
+        "trust.min_score=0.2 radio.range_m=200 lidar.max_range_m=90 record.level=full record.block_steps=20"
+    )
+    assert says in cosim("check", *(f"--set={change}" for change in changes.split()[:n])).stdout
 
 
 def test_a_study_has_a_folder_named_after_its_file(begun):
