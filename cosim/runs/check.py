@@ -181,7 +181,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
     notes += _late_objects(config) + _buried_objects(config, scenario)
-    notes += _few_clouds(config) + _no_links(config) + _one_evaluator(config)
+    notes += _few_clouds(config) + _short_window(config) + _no_links(config) + _one_evaluator(config)
     return notes + _out_of_reach(config)
 
 
@@ -222,6 +222,19 @@ def empty_streets(config: Config, scenario: Scenario) -> list[str]:
     return [
         f"note: traffic.warmup_s is not set, and {scenario.name} has none of its own. Recording begins on empty "
         "streets. Set traffic.warmup_s to the time that traffic needs to fill them, such as 600."
+    ]
+
+
+def _short_window(config: Config) -> list[str]:
+    """A note if rounds of a sidelink leave less than half of its selection window."""
+    window_s = config.radio.sidelink.window_s
+    has_sidelink = config.sensing and config.radio.model in ("nr_mode2", "lte_mode4")
+    if not has_sidelink or config.round_s >= window_s / 2:
+        return []
+    return [
+        f"note: radio.sidelink.window_s = {window_s:g} s, but all messages of a step are sent within a round of "
+        f"{config.round_s:g} s. Stations choose among fewer slots, and more messages collide than if they were spread. "
+        'A longer sensing_interval_s makes longer rounds, and so does sensing_phase = "common".'
     ]
 
 

@@ -116,3 +116,18 @@ def test_the_noted_period_is_that_of_the_run(tmp_path):
     assert_noted(sets, "broadcasts every", "the server broadcasts every 2 s, because messages are exchanged every 1 s.")
     recorded = open_run(run(load(None, sets), tmp_path / "run", lambda *_: None))
     assert set(np.diff(np.unique(recorded.trust.step))) == {2}
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        ("radio.model=nr_mode2", "within a round of 0.04 s"),
+        ("radio.model=nr_mode2 radio.sidelink.window_s=0.05", ""),
+        ("radio.model=csma", ""),
+        ("radio.model=lte_mode4 sensing_interval_s=1", ""),
+    ],
+)
+def test_rounds_that_cut_the_window_of_a_sidelink_are_noted(sets, said):
+    """At 10 Hz a round has 40 ms, and stations choose among 20 to 40 slots instead of 100."""
+    at_10_hz = "sensing_interval_s=0.1", "traffic.step_s=0.1", "sensing_phase=common"
+    assert_noted((*at_10_hz, *sets.split()), "radio.sidelink.window_s", said)
