@@ -17,7 +17,7 @@ from cosim.base.file_names import COMMON_STEMS
 from results import study_curves, study_notes
 from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
-from results.metrics.registry import METRICS, TOPICS, bounds_of
+from results.metrics.registry import METRICS, bounds_of
 from results.spreadsheet import csv_of
 from results.study_measuring import changes, measuring_in
 
@@ -360,12 +360,12 @@ def for_axes(frame: pd.DataFrame, keys: Iterable[str]) -> list[str]:
 
 
 def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
-    """Rows of these metrics: an identifier, `identifier:group`, or a topic."""
+    """Rows of these metrics: an identifier, `identifier:group`, or how identifiers begin, such as a topic."""
     kept = np.zeros(len(frame), bool)
     for name in metrics:
         metric, _, group = name.partition(":")
         rows = frame.metric == metric
-        if metric in TOPICS:
+        if not rows.any():
             rows = frame.metric.str.startswith(f"{metric}.")
         if group:
             rows = rows & (frame.group == group)
@@ -383,12 +383,13 @@ def one_group(frame: pd.DataFrame, name: str) -> str:
     Raises
     ------
     ValueError
-        In one line, if a metric has several groups and none of them stands for everything, or if a topic is named.
+        In one line, if a metric has several groups and none of them stands for everything, or if several begin so.
     """
     metric, _, group = name.partition(":")
-    if metric in TOPICS:
-        raise ValueError(f"{metric} is a topic: name one of its metrics. {_there(frame, metric)}")
-    groups = list(chosen(frame, [name]).group.unique())
+    rows = chosen(frame, [name])
+    if metric not in set(rows.metric):
+        raise ValueError(f"{metric} stands for all metrics that begin so: name one. {_there(frame, metric)}")
+    groups = list(rows.group.unique())
     if group or groups == [""]:
         return name
     if len(groups) > 1 and EVERYTHING not in groups:

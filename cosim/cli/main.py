@@ -273,7 +273,8 @@ def measure(
         list[str] | None,
         typer.Option(
             "--metric",
-            help="Only this metric, METRIC:GROUP, or topic; of a run also your own, mine.py:Name. Repeatable.",
+            help="Only METRIC, METRIC:GROUP, or all that begin so (radio, radio.pdr); of a run also your own, "
+            "mine.py:Name. Repeatable.",
         ),
     ] = None,
     sets: Annotated[

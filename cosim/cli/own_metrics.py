@@ -27,7 +27,7 @@ def own_metrics(names: list[str], sets: list[str]) -> "Callable[[Run], pd.DataFr
 
 
 def split_metrics(names: list[str]) -> tuple[list[str], list[str]]:
-    """Metrics of the user's own, and those that ship: an identifier, `identifier:group`, or a topic.
+    """Metrics of the user's own, and those that ship: an identifier, `identifier:group`, or how identifiers begin.
 
     Raises
     ------
@@ -39,8 +39,7 @@ def split_metrics(names: list[str]) -> tuple[list[str], list[str]]:
     from cosim.door.load import is_own
     from results.metrics.registry import METRICS, TOPICS
 
-    known = {*METRICS, *TOPICS}
-    shipped = [name for name in names if name.partition(":")[0] in known]
+    shipped = [name for name in names if _metrics_of(name.partition(":")[0])]
     own = [name for name in names if name not in shipped]
     for name in own:
         if not is_own(name):
@@ -61,7 +60,8 @@ def refuse_other_groups(tables: "Sequence[pd.DataFrame]", names: list[str]) -> N
         groups: dict[str, None] = {}
         for table in tables:
             is_measured = ~table.metric.str.endswith(".not_measured")
-            groups |= dict.fromkeys(table.group[_is_of(table, metric) & is_measured])
+            is_measured &= table.metric.isin(_metrics_of(metric))
+            groups |= dict.fromkeys(table.group[is_measured])
         if group and groups and group not in groups:
             others = "; ".join(filter(None, groups))
             named = f"There are: {others}." if others else f"{metric} has none."
@@ -73,14 +73,14 @@ def with_metrics(table: "pd.DataFrame", names: list[str]) -> "pd.DataFrame":
     kept = table.metric != table.metric
     for name in names:
         metric, _, group = name.partition(":")
-        rows = _is_of(table, metric)
+        rows = table.metric.isin(_metrics_of(metric))
         rows &= (table.group == group) if group else True
         kept |= rows if rows.any() else table.metric == f"{metric.partition('.')[0]}.not_measured"
     return table[kept]
 
 
-def _is_of(table: "pd.DataFrame", name: str) -> "pd.Series[bool]":
-    """Which rows are of a metric, or of a topic."""
-    from results.metrics.registry import TOPICS
+def _metrics_of(name: str) -> list[str]:
+    """The metric of this name; else all whose names begin so, as those of a topic, or of `radio.pdr`."""
+    from results.metrics.registry import METRICS
 
-    return table.metric.str.startswith(name + ".") if name in TOPICS else table.metric == name
+    return [name] if name in METRICS else [metric for metric in METRICS if metric.startswith(name + ".")]

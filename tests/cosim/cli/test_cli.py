@@ -77,6 +77,9 @@ def test_measure_of_named_metrics(run, measured):
     assert all(row in measured for row in rows)
     topic = json.loads(cosim("measure", "runs/helsinki-1", "--metric", "encounters", "--json", cwd=folder).stdout)
     assert {row["metric"].partition(".")[0] for row in topic["runs/helsinki-1"]} == {"encounters"}
+    some = json.loads(cosim("measure", "runs/helsinki-1", "--metric", "radio.pdr", "--json", cwd=folder).stdout)
+    names = {row["metric"] for row in some["runs/helsinki-1"]}
+    assert names == {"radio.pdr.all", "radio.pdr.cpm", "radio.pdr.evaluation"}
     done = cosim("measure", "runs/helsinki-1", "--metric", "radio.pdr.cmp", cwd=folder)
     assert_refused(done, "Near: radio.pdr.cpm")
 
