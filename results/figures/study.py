@@ -137,12 +137,14 @@ def draw(
     frame = held(study, frame, keys, where or {})
     study.check_swept(*filter(None, (over, by)), more=keys)
     of_metrics = chosen(frame, asked)
-    order = [key for key in (over, by) if key]
+    order = list(dict.fromkeys(filter(None, (over, by))))
     varied = apart(of_metrics, list(dict.fromkeys([*order, *keys])))
     if lean or len(varied) > 3:
         matter = _matter(study, asked, where or {})
         varied = [key for key in varied if key in matter or key not in study.keys]
     order += [key for key in for_axes(of_metrics, varied) if key not in order]
+    if not over and by:  # the axis is that of the next key
+        order[:2] = order[1::-1]
     free = [key for key in apart(of_metrics, study.keys) if key not in order]
     frame = at_first(frame, free, order)
     frame = with_short_names(frame, keys)

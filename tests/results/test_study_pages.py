@@ -451,6 +451,17 @@ def test_keys_that_change_together_are_all_named(tmp_path):
     assert "trust.tau changes with trust.model: 1 at beta, 2 at mate" in study_report.page(study)
 
 
+def test_the_key_of_the_colours_leaves_the_axis_to_another(tmp_path):
+    """Alone, it was on the axis."""
+    swept = {"fleet.penetration_p": (0.1, 0.3), "trust.freshness_s": (2.0, 10.0)}
+    study = study_of(tmp_path, swept, measured=MEASURED[1:2])
+    figure = study_figure.draw(study, "freshness", by="fleet.penetration_p")
+    assert figure.axes[0].get_xlabel() == "window [s]"
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["penetration = 0.1", "penetration = 0.3"]
+    one = study_of(tmp_path / "one", {"fleet.penetration_p": (0.1, 0.3)}, measured=MEASURED[1:2])
+    assert study_figure.draw(one, "freshness", by="fleet.penetration_p").axes[0].get_xlabel() == "penetration"
+
+
 def test_keys_that_change_together_have_one_axis(tmp_path):
     """The radius had a colour for each place of the range on the axis, so that no line joined two points."""
     swept = {"radio.range_m": (50.0, 100.0), "encounters.0.radius_m": (50.0, 100.0), "trust.freshness_s": (2.0, 10.0)}
