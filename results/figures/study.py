@@ -83,7 +83,7 @@ _CHANCE = 0.5
 MOST_PANELS = 4
 """Panels beside one another."""
 _MOST_LETTERS = 32
-"""Of the words under an axis; more of them are slanted."""
+"""Of the words under the axes beside one another; more of them are slanted."""
 _MOST_CELLS = 14
 """Cells of a row that numbers fit into."""
 
@@ -282,7 +282,7 @@ def _draw(
             _height(axes, of_metric)
             if name.partition(":")[0].endswith(".auc"):
                 axes.axhline(_CHANCE, color="grey", linewidth=0.6, zorder=0)
-            _ticks(axes, frame[x], 5 if across < 3 else 3)
+            _ticks(axes, frame[x], across)
     entries = []
     for i, hue in enumerate(colours):
         if hue is not None:
@@ -434,15 +434,18 @@ def _is_wide(found: Sequence[Any]) -> bool:
     return bool(least > 0 and most / least >= 10)
 
 
-def _ticks(axes: Axes, values: pd.Series, most: int) -> None:
-    """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second."""
-    found = distinct(values)
+def _ticks(axes: Axes, values: pd.Series, across: int) -> None:
+    """The swept values themselves; on a logarithmic axis where they span a factor of ten. Of many, every second.
+
+    `across` panels stand beside one another.
+    """
+    found, most = distinct(values), 5 if across < 3 else 3
     places = found if values.dtype.kind == "f" else range(len(found))
     axes.update_datalim([(place, 0.0) for place in places], updatey=False)  # also those without a value in this panel
     axes.autoscale_view(scaley=False)
     if values.dtype.kind != "f":
         words = [said(v) for v in found]
-        is_long = sum(map(len, words)) > _MOST_LETTERS
+        is_long = across * sum(map(len, words)) > _MOST_LETTERS
         slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
         axes.set_xticks(range(len(found)), words, **slanted)
         return

@@ -253,6 +253,16 @@ def test_numbers_under_an_axis_do_not_stand_on_one_another(tmp_path):
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "", "0.1", "0.5"]
 
 
+def test_words_under_two_axes_do_not_stand_on_one_another(tmp_path):
+    swept = {"trust.model": ("beta", "trupercept", "mate", "minhas"), "fleet.penetration_p": (0.1, 0.3)}
+    swept |= {"trust.freshness_s": (2.0, 10.0)}
+    study = study_of(tmp_path, swept, 1, lambda *_: 0.7, measured=[("trust.final.median", "honest")])
+    figure = study_figure.draw(study, "trust", over="trust.model")
+    assert len(figure.axes) == 2
+    for axes in figure.axes:
+        assert {label.get_rotation() for label in axes.get_xticklabels()} == {30}
+
+
 def test_ages_are_drawn_up_to_the_largest(tiny):
     """Nine of ten lookups find an age of 2 s, and one finds 7 s: a tenth is older than 2 s, up to 7 s."""
     seen = {"receiver": 0, "source": "server", "state": "evaluated", "n_evaluations": 3, "age_s": 2.0}
