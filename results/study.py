@@ -388,7 +388,7 @@ def one_group(frame: pd.DataFrame, name: str) -> str:
     metric, _, group = name.partition(":")
     rows = chosen(frame, [name])
     if metric not in set(rows.metric):
-        raise ValueError(f"{metric} stands for all metrics that begin so: name one. {_there(frame, metric)}")
+        raise ValueError(f"{metric} stands for several metrics: name one of {', '.join(rows.metric.unique())}.")
     groups = list(rows.group.unique())
     if group or groups == [""]:
         return name

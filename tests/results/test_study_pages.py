@@ -337,7 +337,7 @@ def test_a_line_shows_one_group_of_a_metric(tmp_path):
         said = rf"^{name} has several groups: {'; '.join(groups[name])}\. Choose one as {name}:GROUP\.$"
         with pytest.raises(ValueError, match=said):
             study_figure.draw(study, "", [name])
-    with pytest.raises(ValueError, match=r"^trust stands for all metrics that begin so: name one\."):
+    with pytest.raises(ValueError, match=r"^trust stands for several metrics: name one of trust\."):
         study_figure.draw(study, "", ["trust"])
 
 

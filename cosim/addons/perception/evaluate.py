@@ -142,7 +142,10 @@ def _evaluated(data: Recorded, range_m: float, partners_m: float, overlaps: Sequ
     if not n_objects:
         about["missing"] = "No object is annotated in any frame."
     elif not len(data.found):
-        about["missing"] = f"There are no detections beside {n_objects:,} objects. Name their folder: --detections."
+        about["missing"] = (
+            f"There are no detections beside {n_objects:,} objects. Name their folder: --detections. `cosim export "
+            "opv2v` writes them with --set detections=true."
+        )
     elif not len(truth):
         about["missing"] = f"No object is within {range_m:g} m of the ego. A larger distance: --range-m."
     elif not counts.any():

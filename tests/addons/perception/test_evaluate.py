@@ -204,7 +204,8 @@ def test_what_is_missing_is_named(tmp_path):
     assert "No object is within 5 m of the ego" in evaluate(folder, range_m=5)[0]["missing"]
     for path in folder.rglob("*_pred.npy"):
         path.unlink()
-    assert "no detections beside 2 objects" in evaluate(folder)[0]["missing"]
+    missing = evaluate(folder)[0]["missing"]
+    assert "no detections beside 2 objects" in missing and "--set detections=true" in missing
     (tmp_path / "b").mkdir()
     folder = two_cars_and_agents(tmp_path / "b")
     for agent, x in ((641, 0), (650, 20)):
