@@ -217,6 +217,8 @@ def _print_counted(folder: Path, as_json: bool) -> None:
     run = open_run(folder)
     for remark in trace_remarks(run.manifest["summary"]):
         notes.print(remark, soft_wrap=True)
+    if coarse := _coarse(run):
+        notes.print(coarse, soft_wrap=True)
     measures = measure(run, topics=("traffic", "encounters"))
     if as_json:
         print_json({"run": str(folder), "summary": run.manifest["summary"], "measures": rows_of(measures)})
@@ -235,6 +237,19 @@ def _print_counted(folder: Path, as_json: bool) -> None:
     if repaired := run.manifest["summary"].get("repaired"):
         said = ", ".join(f"{n:,} {reason}" for reason, n in repaired.items())
         notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
+
+
+def _coarse(run: "OpenRun") -> str:
+    """A note if two vehicles can drive through the least radius between two steps."""
+    radius_m = min(of["radius_m"] for of in run.manifest["config"]["encounters"])
+    fast_mps = run.manifest["summary"].get("speed_p95_mps", 0.0)
+    closer_m = 2 * fast_mps * run.dt_s
+    if closer_m <= 2 * radius_m:
+        return ""
+    return (
+        f"note: two vehicles at {plain(fast_mps)} m/s (95 %) come {plain(closer_m)} m closer in a step of {run.dt_s:g} "
+        f"s, so they can pass through a radius of {radius_m:g} m unseen. Use a trace with shorter steps."
+    )
 
 
 def _trace(run: "OpenRun", values: dict[tuple[str, str], float]) -> list[str]:

@@ -256,6 +256,19 @@ def test_notes_on_a_trace_are_printed(tmp_path):
     assert "types equipped (passenger)" in guess and "at 3 s for the first time: 1 steps" in lost
 
 
+def test_steps_in_which_vehicles_pass_each_other_are_noted(tmp_path):
+    """At 10 m/s each and in steps of 10 s, two come 200 m closer: within a radius of 50 m, not of 100 m, unseen."""
+    rows = ['<vehicle id="{}" x="{}" y="{}" angle="{}" type="car" speed="10"/>'.format(*who) for who in
+            (("a", "{a}", 0, 90), ("b", "{b}", 4, 270))]  # fmt: skip
+    steps = "".join(
+        f'<timestep time="{t}">{"".join(rows).format(a=10 * t, b=300 - 10 * t)}</timestep>' for t in range(0, 40, 10)
+    )
+    (tmp_path / "t.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    for radius_m, said in (("50", "10 m/s (95 %) come 200 m closer in a step of 10 s"), ("100", "")):
+        done = cosim("contacts", "t.xml", "--radius-m", radius_m, "--out", f"met{radius_m}", cwd=tmp_path)
+        assert done.returncode == 0 and (said in done.stderr if said else not done.stderr), done.stderr
+
+
 def late_trace(begin_s, end_s):
     """What SUMO writes of two vehicles that drive in a line, from one time to another."""
     row = '<vehicle id="{name}" x="{x}" y="0" angle="90" type="passenger" speed="8"/>'
