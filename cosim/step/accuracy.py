@@ -13,7 +13,7 @@ from cosim.messages.content import SELF, SENSED, Detections, velocities
 from cosim.messages.etsi import Confidences
 from cosim.world import World
 from sensors.association import bounded
-from sensors.tracking.new_tracks import expected_speed
+from sensors.tracking.motion import expected_speed
 from sensors.tracking.params import TrackingParams
 from sensors.tracking.tracks import ObjectStates
 

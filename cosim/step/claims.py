@@ -23,7 +23,7 @@ from cosim.world import LABELS
 from sensors.boxes import Boxes, extrapolated
 from sensors.coverage import at_place
 from sensors.neighbours import Neighbours
-from sensors.tracking.new_tracks import confirmed_variance
+from sensors.tracking.motion import confirmed_variance
 from sensors.tracking.tracks import ObjectStates
 from trust.claims import MISSING, N_OBJECTS, SPEED, claim_number, presence_support, velocity_support
 

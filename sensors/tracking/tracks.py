@@ -122,23 +122,3 @@ class ObjectStates(Rows):
     """As in `Tracks`."""
     variance: Float[ndarray, "d 2"]
     """Variance of the velocity, along and across `axis` [m2/s2]."""
-
-
-def along_and_across(
-    vector: Float[ndarray, "n 2"],
-    axis: Float[ndarray, "n 2"],
-) -> Float[ndarray, "n 2"]:
-    """Vectors of the plane, along and across a unit vector."""
-    (x, y), (cos, sin) = vector.T, axis.T
-    along = cos * x + sin * y
-    return np.column_stack([along, cos * y - sin * x])
-
-
-def east_and_north(
-    along_across: Float[ndarray, "n 2"],
-    axis: Float[ndarray, "n 2"],
-) -> Float[ndarray, "n 2"]:
-    """The inverse of `along_and_across`."""
-    (u, v), (cos, sin) = along_across.T, axis.T
-    east = cos * u - sin * v
-    return np.column_stack([east, sin * u + cos * v])

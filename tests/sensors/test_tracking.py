@@ -8,10 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from sensors.tracking import assignment
-from sensors.tracking.existence import existence_gain
-from sensors.tracking.motion import mean_motion, predicted, updated
-from sensors.tracking.new_tracks import expected_speed
+from sensors.tracking import track as tracking
+from sensors.tracking.motion import existence_gain, expected_speed, mean_motion, predicted, updated
 from sensors.tracking.params import TrackingParams
 from sensors.tracking.track import track
 from sensors.tracking.tracks import Found, Observers, TrackMemory, Tracks
@@ -313,7 +311,7 @@ def test_used_wrongly():
 def test_many_blocks_are_assigned_as_one(monkeypatch):
     moments = scene(11, n_observers=12, n_objects=25, n_moments=4)
     whole = played(moments)[1]
-    monkeypatch.setattr(assignment, "_BLOCK_PAIRS", 7)
+    monkeypatch.setattr(tracking, "_BLOCK_PAIRS", 7)
     for a, b in zip(whole, played(moments)[1], strict=True):
         agree(a, b, 0.0)
 

@@ -10,7 +10,7 @@ from cosim.config.config import resolve_data
 from cosim.messages.content import SELF, SENSED
 from cosim.step.claims import claims_of
 from cosim.step.parts import check_choices
-from sensors.tracking.new_tracks import confirmed_variance
+from sensors.tracking.motion import confirmed_variance
 from sensors.tracking.params import TrackingParams
 from sensors.tracking.tracks import ObjectStates
 from tests.cosim.attacks.plain import play
