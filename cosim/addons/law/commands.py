@@ -76,6 +76,8 @@ def freshness(
         raise ValueError("--set and --grid go with a config, and this is a study. Change its file.")
     if grid is not None and (out or against or picture or fleets):
         raise ValueError("--grid writes a study file alone. Leave --out, --against, --picture and --fleets out.")
+    if out is not None and out.suffix != ".json":
+        raise ValueError(f"--out {out}: predictions are JSON. Name the file .json, or draw them with --picture.")
     asked = study or load(config, overrides, trust_code)
     if against is not None and (others := differences(against, asked)):  # before minutes of computing
         more = f", and {len(others) - 9} more" if len(others) > 9 else ""

@@ -199,6 +199,7 @@ def test_a_short_run_is_as_predicted(run):
         (["law.toml", "--set", "trust.host=local"], 'host = "local": the law of freshness covers'),
         (["freshness", "--grid", "x.toml"], "--set and --grid go with a config"),
         (["--grid", "fleet.penetration_p=0.2"], "the name of a study file to write"),
+        (["--out", "law.png"], "--out law.png: predictions are JSON"),
         (["nothing.toml"], "nothing.toml"),
         (["freshness", "--against", "run"], "a config is compared with a run, and a study with a study"),
         (["law.toml", "--set", "fleet.penetration_p=0"], "no equipped vehicle was on the road"),
