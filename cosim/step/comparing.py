@@ -24,7 +24,7 @@ from cosim.step.perception import BoxQuestions, Perceives
 from cosim.step.sense import Positioned
 from cosim.step.stopwatch import Stopwatch
 from sensors.association import Gate, bounded, certainty, pairs_across, pairs_within
-from sensors.box_fusion import StatedAccuracy
+from sensors.box_fusion.views import StatedAccuracy
 from sensors.boxes import Boxes, overlapping_pairs, pairs_between
 from sensors.evidence import AreaParams
 from trust.evaluation import evaluate

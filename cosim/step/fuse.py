@@ -19,7 +19,8 @@ from cosim.step.positioning import as_estimated
 from cosim.step.trust import LookedUp
 from cosim.traffic.driver import Beliefs
 from cosim.world import World
-from sensors.box_fusion import ObjectViews, ViewLists, boxes_of_columns, fuse_boxes, overlap_p
+from sensors.box_fusion.fuse import fuse_boxes
+from sensors.box_fusion.views import ObjectViews, ViewLists, boxes_of_columns, overlap_p
 from sensors.boxes import Boxes
 from trust.fusion import Fused, fuse
 from trust.object_reports import object_votes

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cosim.base.threads import n_threads, use_threads
-from sensors.box_fusion import FusedBoxes, ObjectViews, StatedAccuracy, ViewLists, fuse_boxes, overlap_p
+from sensors.box_fusion.fuse import fuse_boxes
+from sensors.box_fusion.views import FusedBoxes, ObjectViews, StatedAccuracy, ViewLists, overlap_p
 from sensors.boxes import Boxes, iou_3d
 from tests.sensors.town import boxes_at
 
