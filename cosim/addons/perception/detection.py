@@ -19,6 +19,7 @@ from cosim.addons.perception.kitti_frames import (
     sampled_steps,
     with_boxes,
 )
+from cosim.addons.perception.measures.frames import range_of, rows
 from cosim.base.codes import ObjectClass, labels
 from results.metrics.trust import HONEST
 from results.run import Run
@@ -33,6 +34,7 @@ def precision(
     loose: bool = False,
     range_m: float = 140.0,
     max_frames: int = 4000,
+    nearest_m: float = 0.0,
 ) -> pd.DataFrame:
     """Average precision by KITTI's rules, ranked over all frames together.
 
@@ -45,6 +47,8 @@ def precision(
         KITTI's smaller limits of overlap (0.5 for cars and trucks, 0.25 for others) instead of 0.7 and 0.5.
     max_frames
         Steps are sampled evenly so that there are about this many frames.
+    nearest_m
+        Actors and boxes that are nearer to the vehicle do not count.
 
     Returns
     -------
@@ -61,15 +65,17 @@ def precision(
     honest = _honest(run)
     steps = sampled_steps(run, max_frames, honest)
     truth, poses = actors_ahead(run, steps, range_m, honest)
-    rows = []
+    truth = rows(truth, range_of(truth) >= nearest_m)
+    answers = []
     for which in lists:
         found = boxes_ahead(run, which, steps, poses, range_m)
+        found = rows(found, range_of(found) >= nearest_m)
         for label in CLASSES:
             limit = (LOOSE if loose else STRICT)[label]
             if not (truth.label == label).any():
                 continue
             answer = average_precision(truth, found, label, overlap, limit)
-            rows += [
+            answers += [
                 {
                     "boxes": which,
                     "class": label,
@@ -81,9 +87,9 @@ def precision(
                 }
                 for level, one in answer.items()
             ]
-    if not rows:
+    if not answers:
         raise run.lacks("detections to rank", "no honest vehicle ever had an actor ahead of it.")
-    return pd.DataFrame(rows)
+    return pd.DataFrame(answers)
 
 
 def _honest(run: Run) -> Int[ndarray, "k"]:

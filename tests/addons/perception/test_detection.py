@@ -54,6 +54,8 @@ def test_precision_on_a_scene(scene):
     assert frame.ap11["local", "car", "easy"] == pytest.approx(100)
     assert frame.n_truth["fused", "car", "all"] == 50  # the one behind does not count
     assert frame.n_frames.unique().tolist() == [50]
+    near = detection.precision(scene, range_m=30, nearest_m=10).set_index(["boxes", "class", "level"])
+    assert near.ap40["local", "car", "all"] == pytest.approx(100)  # neither the ghosts at 40 m nor those at 9 m
     few = detection.precision(scene, max_frames=10)
     assert few.n_frames.unique().tolist() == [10] and few.n_truth.max() == 10
 
