@@ -26,6 +26,7 @@ from cosim.traffic.streetside import check_streets
 from results.manifest import read_manifest
 from sensors import lidar
 from sensors.boxes import Boxes
+from sensors.line_of_sight import WallIndex
 from sensors.scene import Scene, Shape
 from sumo_nets import sumocfg
 from sumo_nets.ground import StreetHeights
@@ -180,7 +181,7 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
             notes.append("note: [parked] places no car: no place along the streets is free, or tags say so.")
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
-    notes += _late_objects(config) + _buried_objects(config, scenario)
+    notes += _late_objects(config) + _buried_objects(config, scenario) + _indoors(config, scenario)
     notes += _few_clouds(config) + _short_window(config) + _no_links(config) + _one_evaluator(config)
     return notes + _out_of_reach(config)
 
@@ -211,6 +212,20 @@ def _buried_objects(config: Config, scenario: Scenario) -> list[str]:
                 f"there. Set objects.{i}.ground_m = {height_m:.1f}."
             )
     return notes
+
+
+def _indoors(config: Config, scenario: Scenario) -> list[str]:
+    """Notes on objects, and on sensors of roadside units, inside buildings."""
+    units = roadside_units(config, scenario)
+    names = [*(f"objects.{i}" for i in range(len(config.objects))), *units.names]
+    if not names:
+        return []
+    middles = [(*(thing.at_m or ()), thing.ground_m + 0.5 * thing.lwh_m[2]) for thing in config.objects]
+    sensors_m = units.ground_m + units.height_m[:, None] * [0.0, 0.0, 1.0]
+    walls = WallIndex.of(scenario.city().buildings)
+    is_in = walls.indoors(np.concatenate([np.reshape(middles, (-1, 3)), sensors_m]))
+    said = "note: {} is inside a building: no ray goes in or out. Move it."
+    return [said.format(names[row]) for row in np.flatnonzero(is_in).tolist()]
 
 
 def empty_streets(config: Config, scenario: Scenario) -> list[str]:

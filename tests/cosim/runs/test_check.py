@@ -76,6 +76,19 @@ def test_an_object_below_a_hill_is_noted(tmp_path, ground, said):
     assert [float(note[:-1].rpartition(" = ")[2]) for note in notes] == said
 
 
+def test_what_stands_in_a_building_is_noted(tmp_path):
+    """The first block of houses is 20 to 180 m east and 20 to 130 m north, and 12 m high."""
+    crossing.write(tmp_path, files="houses.poly.xml")
+    (tmp_path / "houses.poly.xml").write_text(crossing.houses())
+    objects = "[[objects]]\nat_m = [100.0, 50.0]\n[[objects]]\nat_m = [200.0, 50.0]\n"
+    units = "[[roadside]]\nat = [100.0, 60.0]\n[[roadside]]\nat = [100.0, 70.0]\nheight_m = 12.5\n"
+    path = tmp_path / "c.toml"
+    path.write_text(f'[traffic]\nscenario = "city.sumocfg"\n{objects}{units}')
+    config = load(path)
+    noted = [note for note in notes_on(config, check(config)) if "inside a building" in note]
+    assert [note.split(" is ")[0] for note in noted] == ["note: objects.0", "note: roadside/100.00/60.00"]
+
+
 GHOSTS = "attacks.0.attack=ghost_insertion"
 
 
