@@ -42,7 +42,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     for i, bar in enumerate(bars):
         style.shares_bar(shares, i, bar, _FILLS)
     title = "Age when looked up" if len(runs) == 1 else "Age (dotted: the value)"
-    style.panel(ages, title, axis_label("trust_lookups", "age_s", "Age"), "Share of values at most this old")
+    style.panel(ages, title, axis_label("trust_lookups", "age_s", "Age"), "Share at most this old")
     style.share_axis(ages)
     ages.set_xlim(0, max(longest_s, 1.0) * 1.05)
     style.panel(shares, "What stands behind lookups" + (", by role" if len(runs) == 1 else ""), "Share of lookups", "")

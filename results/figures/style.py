@@ -265,26 +265,35 @@ def series_entries(runs: Sequence[Run], lines: bool = True) -> list[Line2D]:
     return entries
 
 
-def names(runs: Sequence[Run]) -> list[str]:
-    """Names of runs: the value of the key in which they differ, if it is one alone and tells all apart.
+_CODE = re.compile("[0-9a-f]{16}")
+"""Names of the folders of a study's runs."""
 
-    Else their folders' names, with the folders above where two are called the same, and the trust variant.
+
+def names(runs: Sequence[Run]) -> list[str]:
+    """Names of runs: the values of the keys in which they differ, if these tell all apart.
+
+    Runs of a study, whose folders have codes for names, are called by up to three keys, others by one alone. Else runs
+    have their folders' names, with the folders above where two are called the same, and the trust variant.
     """
     found = compare.differing(runs)
-    if len(runs) > 1 and len(found) == 1:
-        ((key, values),) = found.items()
-        if len(set(map(str, values))) == len(runs):
-            return [f"{key} = {_plain(value)}" for value in values]
-    short = []
+    most = 3 if any(_CODE.fullmatch(run.name) for run in runs) else 1
+    if len(runs) > 1 and 0 < len(found) <= most:
+        ends = [key.rpartition(".")[2] for key in found]
+        short = found if len(found) == 1 or len(set(ends)) < len(ends) else ends
+        columns = [[f"{key} = {_plain(value)}" for value in of] for key, of in zip(short, found.values(), strict=True)]
+        by_keys = [", ".join(parts) for parts in zip(*columns, strict=True)]
+        if len(set(by_keys)) == len(runs):
+            return by_keys
+    named = []
     for run in runs:
         variant = "" if run.variant == BASE_VARIANT else f", {run.variant}"
-        short.append(run.name + variant)
+        named.append(run.name + variant)
     paths = [run.path.resolve() for run in runs]
     among = os.path.commonpath(paths)
     told_apart = []
-    for path, name in zip(paths, short, strict=True):
+    for path, name in zip(paths, named, strict=True):
         above = os.path.relpath(path.parent, among)
-        told_apart.append(name if short.count(name) == 1 else f"{above}/{name}")
+        told_apart.append(name if named.count(name) == 1 else f"{above}/{name}")
     return told_apart
 
 

@@ -1,6 +1,8 @@
 """Pictures: drawn, labelled with units, saved, the same twice, and never empty."""
 
 from itertools import cycle
+from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -156,6 +158,20 @@ def test_runs_of_one_name_are_told_apart(run, tmp_path):
     assert style.names(twins) == [f"one/same/{run.name}", f"two/same/{run.name}"]
     of_variants, labels = style.variants_of([run, *twins])
     assert len(set(labels)) == len(of_variants) == 3
+
+
+def test_runs_of_a_study_are_called_by_the_keys_that_differ():
+    """Their folders have codes for names. Runs that a user named keep these names."""
+    values = [(5, 5), (5, 12), (9, 12)]
+
+    def named(names):
+        configs = [{"attacks": [{"start_s": start_s}], "trust": {"freshness_s": s}} for start_s, s in values]
+        both = zip(names, configs, strict=True)
+        return [SimpleNamespace(name=name, config=of, variant="base", path=Path(name)) for name, of in both]
+
+    said = [f"start_s = {start_s}, freshness_s = {s}" for start_s, s in values]
+    assert style.names(named(f"{number:016x}" for number in range(3))) == said
+    assert style.names(named("abc")) == ["a", "b", "c"]
 
 
 def test_malicious_is_red_and_every_role_has_one_colour(run):

@@ -80,7 +80,7 @@ def _curves(axes: Axes, law: Sequence[Curve], simulation: Sequence[Curve]) -> No
                     label=f"{curve.name}: simulation",
                 )
     some = f", first {_MOST} of {len(law)}" if len(law) > _MOST else ""
-    style.panel(axes, f"Age of the newest evaluation at lookup{some}", "Age [s]", "Share of values at most this old")
+    style.panel(axes, f"Age of the newest evaluation at lookup{some}", "Age [s]", "Share at most this old")
     style.share_axis(axes)
     axes.set_xlim(0, 1.05 * longest_s)
     axes.legend(loc="lower right")
