@@ -148,6 +148,9 @@ def read(path: Path) -> Sumocfg:
     files = {option: files.get(option, ()) for option in (*_REQUIRED, *files)}
     if not files["net-file"]:
         raise ValueError(f'{path}: names no network. Add <net-file value="..."/> to its <input>.')
+    if len(files["net-file"]) > 1:
+        names = ",".join(file.name for file in files["net-file"])
+        raise ValueError(f"{path}: names several networks. Join them: netconvert -s {names} -o joined.net.xml")
     included: list[Path] = []
     for option, named in files.items():
         for file in named:

@@ -92,6 +92,8 @@ class Simulator:
         self._n_known = self._n_teleports = 0
         self._end_s, self._dt_s = libsumo.simulation.getEndTime(), libsumo.simulation.getDeltaT()
         self._warm_from_s = libsumo.simulation.getTime()
+        self._has_calibrators = bool(libsumo.calibrator.getIDList())
+        """Whether vehicles can come that SUMO does not expect."""
 
     def warm_up(self, seconds: float) -> float:
         """Simulate a part of the warm-up without reading actors. Returns how many seconds of it are done."""
@@ -114,7 +116,7 @@ class Simulator:
         if self._has_driver:
             pairs = (sorted((found.collider, found.victim)) for found in libsumo.simulation.getCollisions())
             self._collisions.update(map(tuple, pairs))
-        if libsumo.simulation.getMinExpectedNumber() <= 0:
+        if libsumo.simulation.getMinExpectedNumber() <= 0 and not self._has_calibrators:
             raise EOFError(f"at {libsumo.simulation.getTime():g} s all vehicles have left, and none is to depart")
 
     def read(self) -> Snapshot:

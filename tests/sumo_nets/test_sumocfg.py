@@ -90,6 +90,7 @@ def test_options_that_end_sumo_are_refused(scenario, tmp_path, name):
         ('<load-state value="/dev/zero"/>', "not a regular file"),
         ('<weight-files value="fifo"/>', "not a regular file"),
         ("<net-file><![CDATA[/dev/zero]]></net-file>", "not a regular file"),
+        ('<net-file value="a.net.xml, b.net.xml"/>', "names several networks"),
     ],
 )
 def test_other_options_get_one_line(scenario, tmp_path, option, says):

@@ -79,6 +79,20 @@ def test_the_demand_is_scaled_from_the_scale_of_a_configuration(tmp_path):
             find(str(scaled)).traffic(TrafficParams(scale=1.5), registry())
 
 
+CALIBRATOR = """<additional><route id="r" edges="db bc"/><calibrator id="c" edge="db" pos="5">
+<flow begin="3" end="43" vehsPerHour="900" speed="10" route="r"/></calibrator></additional>"""
+
+
+def test_vehicles_of_a_calibrator_come_although_sumo_expects_none(tmp_path):
+    """900 vehicles per hour for 40 s are ten, and the last ones are still on 800 m of road at 50 s."""
+    config = mixed_scenario.write(tmp_path)
+    (tmp_path / "odd.rou.xml").write_text("<routes/>")
+    (tmp_path / "odd.add.xml").write_text(CALIBRATOR)
+    worlds = live(str(config), 0, 50)[0]
+    assert len(worlds) == 50
+    assert len({actor for world in worlds for actor in world["actor"].tolist()}) in (9, 10, 11)
+
+
 def mixed(folder: Path, **keys):
     """The mixed scenario, running."""
     return find(str(mixed_scenario.write(folder))).traffic(TrafficParams(), registry(), **keys)
