@@ -8,8 +8,8 @@ from sumo_nets import sumotools
 
 NODES = """<nodes>
 <node id="a" x="-9000000" y="100" z="3"/>
-<node id="b" x="-8999500" y="100" z="23"/>
-<node id="c" x="-8999500" y="400" z="23"/>
+<node id="b" x="-8999500" y="100" z="11"/>
+<node id="c" x="-8999500" y="400" z="11"/>
 <node id="d" x="-8999200" y="100" z="3"/>
 <node id="r" x="-9000000" y="150"/><node id="s" x="-8999000" y="150"/>
 <node id="w" x="-9000000" y="900"/><node id="v" x="-8999000" y="900"/>

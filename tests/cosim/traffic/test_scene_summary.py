@@ -73,6 +73,14 @@ ROADS = """<edges><edge id="we" from="w" to="e" numLanes="2"/><edge id="ew" from
 <edge id="sn" from="s" to="n" numLanes="2"/><edge id="ns" from="n" to="s" numLanes="2"/></edges>"""
 
 
+@pytest.mark.parametrize(("fall_m", "is_noted"), [(6, False), (12, True)])
+def test_streets_on_a_hill_are_noted(tmp_path, fall_m, is_noted):
+    """Half of the lanes fall by 6 or 12 m over 400 m, which is 1.5 % or 3 %."""
+    nodes = OVER.format(z=0).replace('y="200" z="0"/>', f'y="200" z="{fall_m}"/>', 1)
+    said = [note for note in of(tmp_path, nodes=nodes, edges=ROADS).notes if "is steeper than 2%" in note]
+    assert len(said) == is_noted and all("50% of the length of the lanes" in note for note in said)
+
+
 @pytest.mark.parametrize(("z", "n"), [(0, 16), (1.5, 16), (6, 0)])
 def test_streets_over_streets_need_heights(tmp_path, z, n):
     """Four lanes cross four lanes: 16 places, unless the one street is above the roofs of cars on the other."""
