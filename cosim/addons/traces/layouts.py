@@ -146,7 +146,8 @@ def layout_of(path: Path) -> str:
         if names[: len(_PNEUMA)] == _PNEUMA:
             return "pneuma"
     for name, columns in LAYOUTS.items():
-        if set(_needed(columns.spelled(names))) <= set(names):
+        is_other = name == "highd" and "length" in map(str.lower, names)  # whose width is the length along the road
+        if set(_needed(columns.spelled(names))) <= set(names) and not is_other:
             return name
     return ""
 

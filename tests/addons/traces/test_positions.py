@@ -101,6 +101,7 @@ BAD = {
     "taxi without a place": ("1;2014-02-01 00:00:00+01;POINT(41.8 12.4)\n1;2014-02-01 00:00:09+01;POINT()\n",
                              "line 2 has no POINT"),
     "frames of unknown length": (HIGHD, "Set --frame-hz"),
+    "sizes of a box in space": ("frame,id,x,y,length,width,height\n1,a,0,0,4,2,1\n", "no layout that is known"),
     "latitude of metres": ("id,time,lat,lon\na,0,600000,5700000\n", "Are they metres?"),
     "other way round": ("id,time,lat,lon\na,0,139.7,35.6\n", "the other way round?"),
     "round the world": ("id,time,lat,lon\na,0,41,12\nb,0,-41,100\n", "from their median"),
