@@ -13,6 +13,7 @@ from cosim.base.earth import Projection
 from cosim.traffic.fcd import Timestep
 from cosim.traffic.frame import Bounds, TrafficError
 from cosim.traffic.interpolation import rows_in_both
+from sumo_nets.levels import LEVEL_M
 from sumo_nets.network import lanes
 
 Conversion = Callable[[Timestep], Timestep]
@@ -173,30 +174,37 @@ def refuse_degrees(name: str, at: Sequence[float], net: NetLocation, origin_m: S
 
 
 class LaneCheck:
-    """Counts the vehicles that come on the road far from all lanes for cars, as those of another place do."""
+    """Counts the vehicles that come on the road far from all lanes for cars, as those of another place do, and those
+    above or below them."""
 
     def __init__(self, net: NetLocation | None) -> None:
         self._path = None if net is None else net.path
         self._tree: shapely.STRtree | None = None
-        self._n = self._n_far = 0
+        self._n = self._n_far = self._n_off_level = 0
 
-    def add(self, xy_m: Float[ndarray, "n 2"]) -> None:
-        """Look at cars and trucks that are new, in coordinates of the network."""
+    def add(self, xyz_m: Float[ndarray, "n 3"]) -> None:
+        """Look at cars and trucks that are new: places on the road, in coordinates of the network."""
         if self._path is None:
             return
         if self._tree is None:
-            lines = [lane.line_m[:, :2] for lane in lanes(self._path) if lane.for_cars]
+            lines = [lane.line_m for lane in lanes(self._path) if lane.for_cars]
             self._tree = shapely.STRtree([shapely.LineString(line) for line in lines])
-        near, _ = self._tree.query(shapely.points(xy_m), predicate="dwithin", distance=FAR_M)
-        self._n += len(xy_m)
-        self._n_far += len(xy_m) - len(np.unique(near))
+        points = shapely.points(xyz_m[:, :2])
+        near, lane = self._tree.query(points, predicate="dwithin", distance=FAR_M)
+        lines = self._tree.geometries[lane]
+        along_m = shapely.line_locate_point(lines, points[near])
+        road_m = shapely.get_z(shapely.line_interpolate_point(lines, along_m))
+        is_level = np.abs(road_m - xyz_m[near, 2]) < LEVEL_M
+        n_near = len(np.unique(near))
+        self._n += len(xyz_m)
+        self._n_far += len(xyz_m) - n_near
+        self._n_off_level += n_near - len(np.unique(near[is_level]))
 
-    @property
-    def far_p(self) -> float | None:
-        """Share of these vehicles, if it is large."""
-        if self._n_far < max(_FEWEST, _FAR_P * self._n):
-            return None
-        return self._n_far / self._n
+    def report(self) -> dict[str, float]:
+        """For the summary: shares of these vehicles, where they are large."""
+        counts = {"trace_far_from_lanes_p": self._n_far, "trace_off_level_p": self._n_off_level}
+        fewest = max(_FEWEST, _FAR_P * self._n)
+        return {name: round(n / self._n, 3) for name, n in counts.items() if n >= fewest}
 
 
 class TravelCheck:

@@ -12,6 +12,7 @@ from cosim.traffic.georeference import FAR_M
 from cosim.world import World
 from sensors.boxes import Boxes
 from sensors.scene import Shape
+from sumo_nets.levels import LEVEL_M
 
 STANDING_MPS = 0.1
 """A vehicle below this speed counts as standing, as in SUMO."""
@@ -281,5 +282,11 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
         found.append(
             f"note: {share:.0%} of the vehicles of the trace appear more than {FAR_M:g} m from all lanes of the "
             "network. Is it a trace of another city, or of a larger area?"
+        )
+    if share := summary.get("trace_off_level_p"):
+        found.append(
+            f"note: {share:.0%} of the vehicles of the trace appear more than {LEVEL_M:g} m above or below the lanes "
+            "of the network, and buildings stand at the height of the lanes. Record the trace with z, or remove the "
+            "network's heights: netconvert --flatten."
         )
     return found

@@ -180,7 +180,7 @@ class TraceReplay(_Replay):
         aside_p = self._travel.aside_p
         if aside_p is not None:
             report["trace_aside_p"] = round(aside_p, 3)
-        report |= _far_from_lanes(self._lanes)
+        report |= self._lanes.report()
         return report | ({"origin_m": list(self._frame.origin_m)} if self._frame.is_around else {})
 
     def close(self) -> None:
@@ -262,7 +262,7 @@ class TraceReplay(_Replay):
                 )
             lwh_m = np.where(own_m >= SMALLEST_M, own_m, lwh_m)
         is_motorised = np.isin(shape, (Shape.CAR, Shape.TRUCK))
-        self._lanes.add(timestep.front_m[rows[is_motorised], :2])
+        self._lanes.add(timestep.front_m[rows[is_motorised]])
         for row, (name, is_person), of in zip(rows.tolist(), keys, types, strict=True):
             if not (of or is_person or (timestep.vclasses and timestep.vclasses[row])):
                 self._untyped.add(name)
@@ -274,11 +274,6 @@ class TraceReplay(_Replay):
     def _type_of(self, timestep: Timestep, row: int) -> vtypes.VehicleType:
         vclass = "" if timestep.vclasses is None else timestep.vclasses[row]
         return self._types(timestep.types[row], bool(timestep.is_person[row]), vclass)
-
-
-def _far_from_lanes(check: LaneCheck) -> dict[str, float]:
-    """For the summary: the share of vehicles that are far from all lanes, if it is large."""
-    return {} if check.far_p is None else {"trace_far_from_lanes_p": round(check.far_p, 3)}
 
 
 def _inside_vehicle(timestep: Timestep, shape: Int[ndarray, "n"]) -> Bool[ndarray, "n"]:
@@ -368,8 +363,8 @@ class RunReplay(_Replay):
             numbers = self._registry.register(names, self._shape[new], self._lwh_m[new], step)
             self._number[new] = numbers
             is_car = np.isin(self._shape[actor], (Shape.CAR, Shape.TRUCK))
-            xy_m = rows["xyz_m"][is_car & np.isin(actor, new), :2]
-            self._lanes.add(xy_m + self._frame.origin_m)
+            xyz_m = rows["xyz_m"][is_car & np.isin(actor, new)]
+            self._lanes.add(xyz_m + [*self._frame.origin_m, 0.0])
         number = self._number[actor]
         order = np.argsort(number)
         number = number[order]
@@ -383,7 +378,7 @@ class RunReplay(_Replay):
         summary = self._run.manifest.get("summary", {})
         known = [name for name in _OF_RECORDED if name in summary]
         report: dict[str, Any] = {name: summary[name] for name in known}
-        report |= self._counts.report() | _far_from_lanes(self._lanes)
+        report |= self._counts.report() | self._lanes.report()
         return report | ({"inputs_changed": self._inputs_changed} if self._inputs_changed else {})
 
     def close(self) -> None:

@@ -177,6 +177,20 @@ def test_vehicles_far_from_all_lanes_are_noted(tmp_path):
     assert said.startswith("note: 44% of the vehicles of the trace appear more than 10 m from all lanes")
 
 
+@pytest.mark.parametrize(("begin_m", "end_m", "off_p"), [(1.9, 1.9, None), (2.1, 2.1, 1.0), (0, 6, 0.667)])
+def test_vehicles_above_or_below_all_lanes_are_noted(tmp_path, begin_m, end_m, off_p):
+    """A trace without z, of nine cars every 50 m from 75 m on. A street that climbs by 6 m over 600 m is less than
+    2 m above the first three of them, at 75, 125 and 175 m."""
+    shape = f"0,0,{begin_m} 600,0,{end_m}"
+    path = tmp_path / "net.net.xml"
+    path.write_text(f'<net><edge id="a"><lane id="a_0" index="0" speed="9" length="600" shape="{shape}"/></edge></net>')
+    rows = [(t, f"c{i}", 75 + 50 * i + t, 1.0, 90, "car", 1) for t in range(4) for i in range(9)]
+    net = NetLocation((0.0, 0.0, 600.0, 10.0), path=path)
+    assert replay(write(tmp_path, rows), net=net)[1].get("trace_off_level_p") == off_p
+    (said,) = trace_remarks({"trace_off_level_p": 0.667})
+    assert said.startswith("note: 67% of the vehicles of the trace appear more than 2 m above or below the lanes")
+
+
 def test_a_map_around_its_own_middle_needs_a_projection():
     own = Projection(60.0, 25.0)
     with pytest.raises(TrafficError, match="the network has no projection"):
