@@ -25,7 +25,8 @@ class AreaParams:
     """The area in which an observer evaluates boxes."""
 
     range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
-    """Largest distance of the box's bottom centre from the sensor [m]."""
+    """Largest distance of the box's bottom centre from the sensor [m]; vehicles evaluate nothing beyond
+    lidar.max_range_m."""
     slack_m: Annotated[float, Ge(0), Le(100)] = 2.0
     """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
     height_m: Annotated[float, Gt(0), Le(100)] = 3.0

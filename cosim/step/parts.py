@@ -173,12 +173,12 @@ def perception_of(experiment: Config, city: Scene) -> Perception:
 def seen_in_weather(experiment: Config) -> tuple[AreaParams, LidarParams]:
     """The area that vehicles evaluate, and the LiDAR as they know it: both end where the road returns nothing.
 
-    They are those of the config in clear air, and if vehicles do not know how far they see (`weather.known`).
+    If vehicles do not know how far they see in this weather (`weather.known`), both end where the LiDAR does.
     """
     area, lidar = experiment.area, experiment.lidar
-    range_m = road_range_m(experiment.weather, lidar.max_range_m)
-    if not experiment.weather.known or range_m >= lidar.max_range_m:
-        return area, lidar
+    range_m = lidar.max_range_m
+    if experiment.weather.known:
+        range_m = road_range_m(experiment.weather, range_m)
     return replace(area, range_m=min(area.range_m, range_m)), replace(lidar, max_range_m=range_m)
 
 

@@ -19,7 +19,8 @@ FOG = ("preset=modern", "weather.visibility_m=50")
         (FOG, 23.9, 23.9),
         ((*FOG, "weather.known=false"), 70.0, 100.0),
         ((*FOG, "area.range_m=20"), 20.0, 23.9),
-        (("preset=modern", "lidar.max_range_m=50"), 70.0, 50.0),
+        (("preset=modern", "lidar.max_range_m=50"), 50.0, 50.0),
+        ((*FOG, "weather.known=false", "lidar.max_range_m=50"), 50.0, 50.0),
     ],
 )
 def test_the_area_that_is_evaluated_ends_where_the_road_returns_nothing(sets, area_m, lidar_m):
