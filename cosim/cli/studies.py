@@ -201,7 +201,12 @@ def measure(
             f"--over names the columns of the printed table, and {flag} has a row for each mean. Leave it out."
         )
     study = open_study(folder)
-    written = study.write()
+    written = []
+    try:
+        written = study.write()
+    except OSError as error:  # the study of somebody else, or a full disk
+        said = f"note: {error.filename} cannot be written: {error.strerror}. The tables are shown alone."
+        notes.print(said, soft_wrap=True)
     tables = {"summary": study.summary}
     if study.baseline and len(study.differences):
         tables["differences"] = study.differences
@@ -232,7 +237,8 @@ def measure(
             screen.print(line, soft_wrap=True)
     for line in [*together(study), *unpaired(study, asked, held)]:
         screen.print(line, soft_wrap=True)
-    screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
+    if written:
+        screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
         screen.print(f"{said} Next: cosim report {folder}", soft_wrap=True)

@@ -157,6 +157,12 @@ class StudyFolder:
 
     def write_index(self, study: Study, points: Sequence[Point]) -> dict[str, int]:
         """Write `index.parquet` with one row per point; return the number of points in each state."""
+        content, states = self.index(study, points)
+        write_whole(self.path / "index.parquet", content)
+        return states
+
+    def index(self, study: Study, points: Sequence[Point]) -> tuple[bytes, dict[str, int]]:
+        """The content of `index.parquet`, and the number of points in each state."""
         answers = self.answers()
         rows: list[dict[str, Any]] = []
         of_run: dict[str, dict[str, Any]] = {}
@@ -181,9 +187,8 @@ class StudyFolder:
         table = pa.table(columns).replace_schema_metadata({"study": json.dumps(head)})
         sink = io.BytesIO()
         pq.write_table(table, sink)
-        write_whole(self.path / "index.parquet", sink.getvalue())
         states = [row["state"] for row in rows]
-        return {state: states.count(state) for state in STATES}
+        return sink.getvalue(), {state: states.count(state) for state in STATES}
 
     def _cost(self, id: str) -> dict[str, Any]:
         """State of a run, and what it has taken; nothing where `id` is empty because the run has not been planned."""

@@ -3,7 +3,7 @@
 import json
 import statistics
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -319,7 +319,9 @@ def status(folder: StudyFolder, trust_code: bool = False) -> tuple[Study, dict[s
     folder.check()
     study = load(file, trust_code)
     points = points_of(study, str(file))
-    states = folder.write_index(study, points)
+    content, states = folder.index(study, points)
+    with suppress(OSError):  # the study of somebody else, or a full disk
+        write_whole(folder.path / "index.parquet", content)
     answers = folder.answers()
     runs = {answers[point.id][0] for point in points if point.id in answers}
     names = [run for run in sorted(runs) if folder.state(run) == "failed"]

@@ -8,8 +8,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from cosim.base.durable import Damaged
+from cosim.base.durable import PARTIAL, Damaged
+from cosim.cli.studies import measure
 from cosim.studies.folder import StudyFolder, status_of
+from cosim.studies.sweep import status
 from results.study import open_study
 
 HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}
@@ -73,6 +75,21 @@ def test_a_study_without_mistakes(tmp_path):
 def test_an_index(tmp_path, changed):
     with pytest.raises(ValueError, match=r"index.parquet is damaged \([^\n]*\). `cosim status"):
         study(tmp_path / "s", **changed)
+
+
+def test_a_study_in_which_nothing_can_be_written(tmp_path, capsys):
+    """The folder of somebody else, or a full disk: here, folders have the names of files that are being written."""
+    study(tmp_path)
+    (tmp_path / "study.toml").write_text('[grid]\ntrust.host = ["local"]\n')
+    for name in ("measures.parquet", f"index.parquet.{os.getpid()}"):
+        (tmp_path / (name + PARTIAL)).mkdir()
+    index = (tmp_path / "index.parquet").read_bytes()
+    measure(tmp_path, ["radio.pdr.all"], as_json=False, csv=tmp_path / "means.csv")
+    assert "measures.parquet cannot be written: Is a directory." in capsys.readouterr().err
+    assert "radio.pdr.all" in (tmp_path / "means.csv").read_text()
+    _, states, _ = status(StudyFolder(tmp_path))
+    assert states == {"finished": 0, "failed": 0, "unfinished": 0, "waiting": 1}
+    assert (tmp_path / "index.parquet").read_bytes() == index
 
 
 @pytest.mark.parametrize("row", [{"point": "a"}, ROW | {"value": "x"}, ROW | {"metric": 3}, ROW | {"unit": None}])
