@@ -217,10 +217,14 @@ def _buried_objects(config: Config, scenario: Scenario) -> list[str]:
 def _indoors(config: Config, scenario: Scenario) -> list[str]:
     """Notes on objects, and on sensors of roadside units, inside buildings."""
     units = roadside_units(config, scenario)
-    names = [*(f"objects.{i}" for i in range(len(config.objects))), *units.names]
+    names = [f"objects.{i}" for i in range(len(config.objects))]
+    names += units.names
     if not names:
         return []
-    middles = [(*(thing.at_m or ()), thing.ground_m + 0.5 * thing.lwh_m[2]) for thing in config.objects]
+    middles = []
+    for thing in config.objects:
+        middle_m = thing.ground_m + 0.5 * thing.lwh_m[2]
+        middles.append((*(thing.at_m or ()), middle_m))
     sensors_m = units.ground_m + units.height_m[:, None] * [0.0, 0.0, 1.0]
     walls = WallIndex.of(scenario.city().buildings)
     is_in = walls.indoors(np.concatenate([np.reshape(middles, (-1, 3)), sensors_m]))

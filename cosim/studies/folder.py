@@ -21,6 +21,8 @@ from cosim.studies.study import Study
 
 STATES = ("finished", "failed", "unfinished", "waiting")
 """States of a point: its run is finished; its last attempt failed; its run has begun; nothing was done yet."""
+States = dict[str, int]
+"""Number of points in each of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,13 +157,13 @@ class StudyFolder:
         rows = [asdict(a) for a in (*self.attempts(id), attempt)]
         write_whole(self.job(id) / "attempts.json", json.dumps(rows).encode())
 
-    def write_index(self, study: Study, points: Sequence[Point]) -> dict[str, int]:
+    def write_index(self, study: Study, points: Sequence[Point]) -> States:
         """Write `index.parquet` with one row per point; return the number of points in each state."""
         content, states = self.index(study, points)
         write_whole(self.path / "index.parquet", content)
         return states
 
-    def index(self, study: Study, points: Sequence[Point]) -> tuple[bytes, dict[str, int]]:
+    def index(self, study: Study, points: Sequence[Point]) -> tuple[bytes, States]:
         """The content of `index.parquet`, and the number of points in each state."""
         answers = self.answers()
         rows: list[dict[str, Any]] = []

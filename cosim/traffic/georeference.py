@@ -204,7 +204,8 @@ class LaneCheck:
         """For the summary: shares of these vehicles, where they are large."""
         counts = {"trace_far_from_lanes_p": self._n_far, "trace_off_level_p": self._n_off_level}
         fewest = max(_FEWEST, _FAR_P * self._n)
-        return {name: round(n / self._n, 3) for name, n in counts.items() if n >= fewest}
+        many = {name: n for name, n in counts.items() if n >= fewest}
+        return {name: round(n / self._n, 3) for name, n in many.items()}
 
 
 class TravelCheck:

@@ -126,7 +126,8 @@ def _streets(scenario: Scenario, found: Sequence[Lane]) -> tuple[str, list[str]]
             "feet, or in web Mercator? Build it with netconvert --proj.utm."
         )
     is_steep = np.abs(rise_m) > STEEP * length_m
-    if (share := float(length_m[is_steep].sum()) / 1000 / max(length_km, 1e-9)) > MOST_STEEP_P:
+    share = float(length_m[is_steep].sum()) / 1000 / max(length_km, 1e-9)
+    if share > MOST_STEEP_P:
         notes.append(
             f"{scenario.net}: {share:.0%} of the length of the lanes is steeper than {STEEP:.0%}. For each sensor the "
             "ground is level and hides who drives lower: on a street that falls by 5 %, vehicles have 44 % fewer "

@@ -278,10 +278,13 @@ def names(runs: Sequence[Run]) -> list[str]:
     found = compare.differing(runs)
     most = 3 if any(_CODE.fullmatch(run.name) for run in runs) else 1
     if len(runs) > 1 and 0 < len(found) <= most:
-        ends = [key.rpartition(".")[2] for key in found]
-        short = found if len(found) == 1 or len(set(ends)) < len(ends) else ends
-        columns = [[f"{key} = {_plain(value)}" for value in of] for key, of in zip(short, found.values(), strict=True)]
-        by_keys = [", ".join(parts) for parts in zip(*columns, strict=True)]
+        keys = [key.rpartition(".")[2] for key in found]
+        if len(keys) == 1 or len(set(keys)) < len(keys):
+            keys = list(found)
+        by_keys = []
+        for values in zip(*found.values(), strict=True):
+            said = map("{} = {}".format, keys, map(_plain, values))
+            by_keys.append(", ".join(said))
         if len(set(by_keys)) == len(runs):
             return by_keys
     named = []

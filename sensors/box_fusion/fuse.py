@@ -20,7 +20,7 @@ from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.ragged import offsets
 from cosim.base.threads import in_ranges
 from sensors.association import bounded
-from sensors.box_fusion.information import Ego, Information, Table, between
+from sensors.box_fusion.information import Ego, Information, StatedDetections, between
 from sensors.box_fusion.place_and_shape import fuse_place, fuse_shape
 from sensors.box_fusion.pose_errors import LEAST_POSE_VARIANCE, estimate_pose_errors, set_information
 from sensors.box_fusion.views import FusedBoxes, ObjectViews, ViewLists, boxes_of_columns
@@ -80,7 +80,7 @@ def fuse_boxes(
     is what vehicles state, not what a network learns; weights are robust.
     """
     boxes, accuracy = views.boxes, views.accuracy
-    table = Table(
+    table = StatedDetections(
         boxes.xyz_m,
         boxes.lwh_m,
         _logarithms(boxes.lwh_m),

@@ -7,7 +7,7 @@ from numpy import ndarray
 from cosim.base.kernel import inlined
 
 
-class Table(NamedTuple):
+class StatedDetections(NamedTuple):
     """`ObjectViews` with variances that are large enough."""
 
     xyz: ndarray
