@@ -27,10 +27,11 @@ from cosim.traffic.scratch import Scratch
 from cosim.traffic.snapshot import ENDED, FAILED, NewActor, Snapshot
 from cosim.traffic.source import SHAPE_OF_CLASS, TrafficEnded, world_from_bumpers
 from cosim.world import LanePaths, World
+from sensors.scene import Shape
 from sumo_nets import sumocfg
 from sumo_nets.catalogue import bounds_m
 from sumo_nets.sumocfg import first_departure_s
-from sumo_nets.vtypes import check_size
+from sumo_nets.vtypes import SIZES_M, check_size
 
 _LEFT_OUT = -1
 _LOST = "Warning: (?=Route file should be sorted|Removing )"
@@ -181,6 +182,7 @@ class SumoTraffic:
 
     def _registered(self, new: list[NewActor], step: int) -> Int[ndarray, "k"]:
         """Register new actors, and return their numbers."""
+        new = list(map(_on_foot, new))
         has_shape = [actor.vclass in SHAPE_OF_CLASS for actor in new]
         kept = list(compress(new, has_shape))
         self._left_out.update(actor.vclass for actor in new if actor.vclass not in SHAPE_OF_CLASS)
@@ -251,6 +253,13 @@ class SumoTraffic:
         text = text.replace(_prefix(self._scratch.path), "")
         messages = re.findall(rf"^{first_words}(.*(?:\n .*)*)", text, re.MULTILINE)
         return list(dict.fromkeys(" ".join(message.split()) for message in messages))
+
+
+def _on_foot(actor: NewActor) -> NewActor:
+    """A person is on foot, as in a trace, also where its type has the class of a vehicle, SUMO's default."""
+    if actor.domain != "person" or SHAPE_OF_CLASS.get(actor.vclass) in (None, Shape.PEDESTRIAN):
+        return actor
+    return actor._replace(vclass="pedestrian", lwh_m=SIZES_M["pedestrian"])
 
 
 def started(log: Path) -> subprocess.Popen[bytes]:

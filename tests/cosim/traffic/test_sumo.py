@@ -16,7 +16,7 @@ from cosim.traffic.scenario import find
 from cosim.traffic.source import world_from_bumpers
 from sensors.scene import Shape
 from tests.cosim.traffic import mixed_scenario
-from tests.cosim.traffic.worlds import live, registry, same
+from tests.cosim.traffic.worlds import collect, live, registry, same
 
 
 def pose(x, y, z, compass_deg, lwh):
@@ -91,6 +91,18 @@ def test_vehicles_of_a_calibrator_come_although_sumo_expects_none(tmp_path):
     worlds = live(str(config), 0, 50)[0]
     assert len(worlds) == 50
     assert len({actor for world in worlds for actor in world["actor"].tolist()}) in (9, 10, 11)
+
+
+def test_persons_whose_type_has_no_class_are_pedestrians(tmp_path):
+    """SUMO gives such a type the class `passenger`, and 5 x 1.8 m."""
+    config = mixed_scenario.write(tmp_path)
+    text = (tmp_path / "odd.rou.xml").read_text().replace('<person id="walker"', '<person id="walker" type="adult"')
+    (tmp_path / "odd.rou.xml").write_text(text.replace("<routes>", '<routes><vType id="adult" maxSpeed="1.2"/>'))
+    who = registry()
+    collect(find(str(config)).traffic(TrafficParams(), who), 0, 6)
+    walker = who.names.index("walker")
+    assert who.shape[walker] == Shape.PEDESTRIAN and not who.equipped[walker]
+    assert who.lwh_m[walker] == pytest.approx([0.215, 0.478, 1.719])
 
 
 def mixed(folder: Path, **keys):
