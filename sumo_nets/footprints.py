@@ -87,7 +87,7 @@ def read_polygons(
         if name == "poly":
             poly, params = attributes, {}
         elif name == "param" and poly is not None:
-            params[attributes.get("key", "")] = attributes.get("value", "")
+            params[attributes.get("key", "").lower()] = attributes.get("value", "")  # shapefiles have HEIGHT
 
     def end(name: str) -> None:
         nonlocal poly

@@ -45,10 +45,11 @@ def test_openstreetmap_tags_of_a_stranger_give_heights(tmp_path):
         f'<poly id="park" type="leisure.park" shape="{SQUARE}"/>',
         f'<poly id="e" type="unknown" shape="{SQUARE}"><param key="building" value="church"/></poly>',
         f'<poly id="f" type="building.yes" height="12.19" shape="{SQUARE}"/>',  # polyconvert, without --all-attributes
+        poly("g", ("HEIGHT", "33.50")),  # polyconvert --shapefile.add-param
     )
     found = [(f.base_z_m, f.top_z_m) for f in read_footprints(path)]
     # 4 storeys x 3.5 m; 100 m² without a tag: a small house; a church without a height: 25 m
-    assert found == [(0.0, 12.5), (0.0, 14.0), (0.0, 7.0), (6.0, 20.0), (0.0, 25.0), (0.0, 12.19)]
+    assert found == [(0.0, 12.5), (0.0, 14.0), (0.0, 7.0), (6.0, 20.0), (0.0, 25.0), (0.0, 12.19), (0.0, 33.5)]
 
 
 def test_what_is_gone_planned_or_underground_is_no_building(tmp_path):
