@@ -213,9 +213,9 @@ def _flow_remarks(summary: dict[str, Any]) -> list[str]:
         )
     if (share := summary.get("vehicles_at_one_point_p", 0.0)) > MOST_AT_ONE_POINT_P:
         found.append(
-            f"note: {share:.0%} of the vehicles are at the exact position of another one, averaged over the run, as in "
-            "SUMO's mesoscopic model, where a vehicle has no place. Encounters are not those of a road. Record the "
-            "traffic without mesosim."
+            f"note: {share:.0%} of the vehicles are at the exact position of another one, averaged over the run, as at "
+            'stops with parking="true", or in SUMO\'s mesoscopic model. Encounters are not those of a road. Let '
+            "vehicles stop in a parkingArea, and record the traffic without mesosim."
         )
     if (share := summary.get("vehicles_overlapping_p", 0.0)) > MOST_OVERLAPPING_P:
         found.append(

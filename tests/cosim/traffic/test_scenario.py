@@ -361,7 +361,8 @@ def test_traffic_that_no_vehicle_can_drive_is_noted():
     told = counts.report()
     assert told == {"vehicles_standing_p": 0.0, "vehicles_at_one_point_p": 0.4, "vehicles_overlapping_p": 0.2}
     one, other = traffic_remarks(told)
-    assert "40% of the vehicles are at the exact position" in one and "20.00% of the vehicles overlap" in other
+    assert "40% of the vehicles are at the exact position" in one and 'stops with parking="true"' in one
+    assert "20.00% of the vehicles overlap" in other
     assert traffic_remarks(told | {"vehicles_at_one_point_p": 0.01, "vehicles_overlapping_p": 0.002}) == []
 
 
