@@ -137,10 +137,9 @@ class AgeCounts(NamedTuple):
     value: Float[ndarray, "t"]
     newest: Float[ndarray, "t"]
     oldest: Float[ndarray, "t"]
-    n_unknown: float
-    """Lookups that find a publication in which no evaluation of the subject counts."""
     n_unseen: float
-    """Those of them whose subject had sent detections in a step whose evidence counts."""
+    """Lookups that find a publication in which no evaluation of the subject counts, though it had sent detections in a
+    step whose evidence counts."""
 
 
 def ages(evidence: EvidenceChances, looks: ExpectedLookups, window_steps: int, since: Int[ndarray, "s"]) -> AgeCounts:
@@ -165,7 +164,7 @@ def ages(evidence: EvidenceChances, looks: ExpectedLookups, window_steps: int, s
     n_steps = evidence.log_none.shape[2]
     out = np.zeros((3, n_steps + 1))
     none_p = np.exp(evidence.log_none)
-    unknown = _ages(
+    n_unseen = _ages(
         none_p,
         evidence.lag_class(min(window_steps, n_steps + 1)),
         since,
@@ -175,12 +174,12 @@ def ages(evidence: EvidenceChances, looks: ExpectedLookups, window_steps: int, s
         looks.n,
         out,
     )
-    return AgeCounts(out[0], out[1], out[2], *unknown)
+    return AgeCounts(out[0], out[1], out[2], n_unseen)
 
 
 @compiled
 def _ages(none_p, lag_class, since, subject, step, publication, n, out):
-    unknown = unseen = 0.0
+    unseen = 0.0
     for row in range(len(subject)):
         s = subject[row]
         for i in range(publication.shape[1]):
@@ -197,7 +196,6 @@ def _ages(none_p, lag_class, since, subject, step, publication, n, out):
                 if left < 1e-9:
                     left = 0.0
                     break
-            unknown += weight * left
             if since[s] < b:
                 unseen += weight * left
             out[0, passed] += weight * (1.0 - left)
@@ -208,7 +206,7 @@ def _ages(none_p, lag_class, since, subject, step, publication, n, out):
                 left *= u
                 if left < 1e-9:
                     break
-    return unknown, unseen
+    return unseen
 
 
 class PairSteps(NamedTuple):

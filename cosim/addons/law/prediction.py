@@ -176,7 +176,7 @@ def counted(
     evidence = found.evidence
     if looks is None:
         none = np.zeros(len(age_s))
-        counts, total, evaluators = law.AgeCounts(none, none, none, 0.0, 0.0), 0.0, 0.0
+        counts, total, evaluators = law.AgeCounts(none, none, none, 0.0), 0.0, 0.0
     else:
         counts, total = law.ages(evidence, looks, server.window_steps, found.since), looks.total
         evaluators = law.behind(found.pair_steps, found.pair_subject, looks, server.window_steps, found.arrived_p)
