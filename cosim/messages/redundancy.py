@@ -202,11 +202,10 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
     near = of_candidates.sparse_distance_matrix(of_reports, SAME_M, output_type="ndarray")
     candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
     message = reports.message[found]
-    reception = _rows_of(heard, mine.receiver[candidate], message)
-    received_s = np.full(len(message), -np.inf)
-    is_there = reception >= 0
-    received_s[is_there] = heard.received_s[reception[is_there]]
-    fresh = np.flatnonzero(received_s >= time_s - window_s - _SLACK_S)
+    n = len(reports.time_s)
+    reception, is_received = rows_of(mine.receiver[candidate] * n + message, heard.receiver * n + heard.message)
+    received_s = heard.received_s[reception]
+    fresh = np.flatnonzero(is_received & (received_s >= time_s - window_s - _SLACK_S))
     candidate, message = candidate[fresh], message[fresh]
     found, apart_m, received_s = found[fresh], apart_m[fresh], received_s[fresh]
     order = np.lexsort((found, apart_m, message, reports.sender[message], received_s, candidate))
@@ -218,18 +217,6 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
 def _by_class(xy_m: Float[ndarray, "n 2"], label: Int[ndarray, "n"]) -> scipy.spatial.cKDTree:
     """Tree of objects. Those of different classes lie on different floors, far from each other."""
     return scipy.spatial.cKDTree(np.column_stack([xy_m, _FAR_M * label]))
-
-
-def _rows_of(
-    heard: Heard,
-    receiver: Int[ndarray, "p"],
-    message: Int[ndarray, "p"],
-) -> Int[ndarray, "p"]:
-    """Row of the reception of each message by each receiver; -1 if it was not received."""
-    n = len(heard.reports.time_s)
-    known = heard.receiver * n + heard.message
-    at, is_there = rows_of(receiver * n + message, known)
-    return np.where(is_there, at, -1)
 
 
 def _often(reports: ReportedObjects, mine: Candidates, known: _Known, params: CpmParams) -> Bool[ndarray, "p"]:
