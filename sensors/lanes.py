@@ -32,6 +32,14 @@ _instructions: Any = intrinsic
 """Decorator; Numba's own type wants `typing` from callers, too."""
 
 
+def _spread(builder: Any, value: Any, kind: ir.VectorType) -> Any:
+    """The value in every lane of a vector of this kind."""
+    nothing = ir.Constant(kind, ir.Undefined)
+    one = builder.insert_element(nothing, value, ir.Constant(_ONE, 0))
+    of_first = ir.Constant(ir.VectorType(_ONE, kind.count), [0] * kind.count)
+    return builder.shuffle_vector(one, nothing, of_first)
+
+
 @_instructions
 def near_box(
     typing: Any,
@@ -57,15 +65,9 @@ def near_box(
             whole = builder.bitcast(first, ir.VectorType(element, LANES).as_pointer())
             return builder.load(whole, align=element.get_abi_size(context.target_data))
 
-        def spread(value: Any) -> Any:
-            nothing = ir.Constant(_FLOATS, ir.Undefined)
-            one = builder.insert_element(nothing, value, ir.Constant(_ONE, 0))
-            of_first = ir.Constant(ir.VectorType(_ONE, LANES), [0] * LANES)
-            return builder.shuffle_vector(one, nothing, of_first)
-
         column, row = given[1], given[2]
         each = cgutils.unpack_tuple(builder, given[5])
-        middle, half, height, half_h, error = (spread(value) for value in each)
+        middle, half, height, half_h, error = (_spread(builder, value, _FLOATS) for value in each)
         size = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.fabs.v{LANES}f32"
         )
@@ -138,11 +140,6 @@ def subtract_rows(typing: Any, rows: Any, i: Any, of: Any, k: Any, factors: Any,
             first = cgutils.get_item_pointer(context, builder, kind, array, (row, given[5]))
             return builder.bitcast(first, _NUMBERS.as_pointer())
 
-        def spread(value: Any) -> Any:
-            one = builder.insert_element(ir.Constant(_NUMBERS, ir.Undefined), value, ir.Constant(_ONE, 0))
-            zeros = ir.Constant(ir.VectorType(_ONE, COLUMNS), [0] * COLUMNS)
-            return builder.shuffle_vector(one, ir.Constant(_NUMBERS, ir.Undefined), zeros)
-
         each = cgutils.unpack_tuple(builder, given[4])
         places = [place(2, row) for row in range(len(each) // 3)]
         sources = [builder.load(one, align=8) for one in places]
@@ -150,7 +147,7 @@ def subtract_rows(typing: Any, rows: Any, i: Any, of: Any, k: Any, factors: Any,
             target = place(0, row)
             value = builder.load(target, align=8)
             for source, factor in zip(sources, each[row::3], strict=True):
-                value = builder.fsub(value, builder.fmul(source, spread(factor)))
+                value = builder.fsub(value, builder.fmul(source, _spread(builder, factor, _NUMBERS)))
             builder.store(value, target, align=8)
         return context.get_dummy_value()
 
