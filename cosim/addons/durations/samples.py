@@ -1,6 +1,6 @@
 """Durations of a run as they were observed: in intervals of a step, cut off at both ends of the observation."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -8,6 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from results.metrics.encounters import DEFINITION, Departure, durations, fewest_steps
 from results.run import Run
 
@@ -30,7 +31,7 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Durations:
+class Durations(Rows):
     """N durations that are known to lie in intervals, out of those that are long enough to be observed."""
 
     low_s: Float[ndarray, "n"]
@@ -56,11 +57,6 @@ class Durations:
     def ended(self) -> Bool[ndarray, "n"]:
         """Whether the end was observed."""
         return np.isfinite(self.high_s)
-
-    def take(self, rows: Bool[ndarray, "n"]) -> "Durations":
-        """Some of them."""
-        kept = {name: getattr(self, name)[rows] for name in ("low_s", "high_s", "entry_s", "a", "b")}
-        return replace(self, **kept)
 
     @staticmethod
     def independent(

@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.addons.law.opportunities import ViewTimes
 from cosim.base.ragged import offsets, ranges
+from cosim.base.rows import Rows
 
 
 @dataclass(frozen=True, slots=True)
-class NewestReceived:
+class NewestReceived(Rows):
     """The newest message of each sender: with which probability each other vehicle has received it."""
 
     sender: Int[ndarray, "p"]
@@ -38,26 +39,12 @@ class NewestReceived:
             Actor numbers of those that have sent, and of all equipped vehicles, ascending.
         """
         are_present = np.isin(self.sender, present) & np.isin(self.receiver, present)
-        kept = np.flatnonzero(~np.isin(self.sender, senders) & are_present)
-        return NewestReceived(
-            *(
-                np.concatenate([getattr(self, name)[kept], getattr(newer, name)])
-                for name in ("sender", "receiver", "p", "apart_m")
-            )
-        )
+        kept = ~np.isin(self.sender, senders) & are_present
+        return NewestReceived.concat([self.take(kept), newer])
 
     def by(self, receivers: Int[ndarray, "r"]) -> "NewestReceived":
         """The messages that these vehicles have received."""
-        return self.chosen(np.isin(self.receiver, receivers))
-
-    def chosen(self, rows: Bool[ndarray, "p"]) -> "NewestReceived":
-        """Some of the pairs."""
-        return NewestReceived(
-            self.sender[rows],
-            self.receiver[rows],
-            self.p[rows],
-            self.apart_m[rows],
-        )
+        return self.take(np.isin(self.receiver, receivers))
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,7 @@ def _evaluated(data: Recorded, range_m: float, partners_m: float, overlaps: Sequ
         "remarks": list(data.remarks),
     }
     n_objects = len(truth)
-    truth = _take(truth, _within(data, truth, range_m))
+    truth = truth.take(_within(data, truth, range_m))
     counts = truth.label == "car" if not data.has_classes else np.ones(len(truth), bool)
     if not n_objects:
         about["missing"] = "No object is annotated in any frame."
@@ -160,7 +160,7 @@ def _evaluated(data: Recorded, range_m: float, partners_m: float, overlaps: Sequ
             f"detections of this layout have no class: they count as cars. Objects of other classes are left out, and "
             f"boxes on them: {others}."
         )
-    truth, ignored = _take(truth, counts), _joined(agents, _take(truth, ~counts))
+    truth, ignored = truth.take(counts), _joined(agents, truth.take(~counts))
     table, judged = _cooperative(data, truth, ignored, partners_m, range_m, overlaps)
     about["boxes_left_out"] = int(_on(data.found, ignored, truth).sum())
     about["frames_without_clouds"] = judged.n_unread
@@ -202,7 +202,7 @@ def _kitti(data: kitti_folder.KittiFolder) -> Evaluated:
     boxes = []
     for of in (truth, found):
         listed_boxes = RecordedBoxes(of.frame, of.frame, of.label, of.box, of.score)
-        boxes.append(_take(listed_boxes, of.box[:, 3] > 0))
+        boxes.append(listed_boxes.take(of.box[:, 3] > 0))
     _check_density(names, *boxes)
     about["remarks"] += of_boxes(*boxes)
     about["remarks"] += _without_height(truth, "labels")
@@ -282,10 +282,10 @@ def _without_agents(data: Recorded) -> tuple[RecordedBoxes, RecordedBoxes]:
     is_inside = (np.abs(away) < boxes[:, 3:5] / 2).all(axis=1)
     is_agent = np.zeros(len(data.truth), bool)
     is_agent[i[is_inside]] = True
-    truth = _take(data.truth, ~is_agent)
-    annotated = _joined(data.aside, _take(data.truth, is_agent))
+    truth = data.truth.take(~is_agent)
+    annotated = _joined(data.aside, data.truth.take(is_agent))
     is_unknown = _best_overlap(agents, _joined(annotated, truth)) <= NMS_OVERLAP
-    return truth, _joined(annotated, _take(agents, is_unknown))
+    return truth, _joined(annotated, agents.take(is_unknown))
 
 
 def _on(boxes: RecordedBoxes, ignored: RecordedBoxes, truth: RecordedBoxes) -> Bool[ndarray, "n"]:
@@ -329,10 +329,10 @@ def _cooperative(
     near = _near_ego(data, partners_m)
     sources = zip(data.found.frame.tolist(), data.found.agent.tolist(), strict=True)
     is_near = [agent in near[frame] for frame, agent in sources]
-    received = _take(data.found, np.array(is_near, bool))
+    received = data.found.take(np.array(is_near, bool))
     judged = trusted(data, near, received)
     methods: dict[str, RecordedBoxes] = {
-        "ego": _take(data.found, data.found.agent == 0),
+        "ego": data.found.take(data.found.agent == 0),
         "late": _late(received),
         "averaging": _fused(received, "averaging"),
         "additive": _fused(received, "additive"),
@@ -342,12 +342,12 @@ def _cooperative(
     left = {}
     for method, boxes in methods.items():
         counts = _within(data, boxes, range_m) & ~_on(boxes, ignored, truth)
-        left[method] = _take(boxes, counts)
+        left[method] = boxes.take(counts)
     rows = []
     for label in dict.fromkeys(truth.label.tolist()):
-        mine = _take(truth, truth.label == label)
+        mine = truth.take(truth.label == label)
         for method, boxes in left.items():
-            theirs = _take(boxes, boxes.label == label)
+            theirs = boxes.take(boxes.label == label)
             for overlap in overlaps:
                 pair = (mine.frame, mine.box), (theirs.frame, theirs.box, theirs.score)
                 ap, recall = precision_and_recall(*pair, overlap, "bev")
@@ -376,20 +376,15 @@ def _within(data: Recorded, boxes: RecordedBoxes, range_m: float) -> Bool[ndarra
 
 def _joined(*parts: RecordedBoxes) -> RecordedBoxes:
     """Boxes of all parts, sorted by frame and agent."""
-    columns = [np.concatenate([getattr(part, name) for part in parts]) for name in RecordedBoxes.__slots__]
-    order = np.lexsort([columns[1], columns[0]])
-    return RecordedBoxes(*(column[order] for column in columns))
-
-
-def _take(boxes: RecordedBoxes, keep: ndarray) -> RecordedBoxes:
-    return RecordedBoxes(*(getattr(boxes, name)[keep] for name in RecordedBoxes.__slots__))
+    whole = RecordedBoxes.concat(parts)
+    return whole.take(np.lexsort([whole.agent, whole.frame]))
 
 
 def _late(boxes: RecordedBoxes) -> RecordedBoxes:
     """Non-maximum suppression of all agents' boxes, class by class."""
     _, label = np.unique(boxes.label.astype(str), return_inverse=True)
     kinds = int(label.max(initial=0)) + 1
-    return _take(boxes, kept(boxes.frame * kinds + label, boxes.box, boxes.score))
+    return boxes.take(kept(boxes.frame * kinds + label, boxes.box, boxes.score))
 
 
 def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> RecordedBoxes:
@@ -425,7 +420,7 @@ def _fused(boxes: RecordedBoxes, method: Literal["averaging", "additive"]) -> Re
     trusted = SenderTrust(ptr_of(of, len(frames)), others, np.ones(len(others)))
     given = FusionInput(lists, groups, table, evaluated, none, none)
     found = fuse(given, trusted, evidence, np.zeros(len(boxes)), params)
-    fused = _take(boxes, found.seed)
+    fused = boxes.take(found.seed)
     return RecordedBoxes(fused.frame, fused.agent, fused.label, boxes.box[found.pose], found.score)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.rows import Rows
 from results.moments import corners_of
 
 LARGEST_BYTES = 16_000_000
@@ -57,7 +58,7 @@ CLASS_OF = {
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedBoxes:
+class RecordedBoxes(Rows):
     """Boxes of many frames, world frame."""
 
     frame: Int[ndarray, "n"]
