@@ -9,9 +9,9 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.addons.attacks.ghosts import CAR_LWH_M, ground_m
-from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams, fabricated, placed
+from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams, certified, fabricated, placed
 from cosim.attacks.ghost_insertion import CAR
-from cosim.messages.content import FABRICATED, Detections
+from cosim.messages.content import Detections
 from sensors.boxes import Boxes
 
 
@@ -74,8 +74,7 @@ class Sybil(WithParams[SybilParams]):
     def evaluations(
         self, rows: EvaluationRows, detections: Detections, context: AttackContext
     ) -> tuple[ndarray, ndarray]:
-        """The rows, with the attacker's own ghosts confirmed."""
-        own = detections.observer[rows.detection] == rows.evaluator
-        own &= context.attacker[rows.evaluator]
-        own &= self.params.agree & (detections.origin[rows.detection] == FABRICATED)
-        return np.where(own, 1.0, rows.evaluation), np.where(own, 1.0, rows.visibility)
+        """The rows, with the attacker's own ghosts confirmed if they agree."""
+        if not self.params.agree:
+            return rows.evaluation, rows.visibility
+        return certified(rows, detections, context)
