@@ -124,7 +124,12 @@ class DetectorParams:
     or unusual is missed by all. 0: observers err independently of each other."""
 
     def __post_init__(self) -> None:
-        _check_shares(self)
+        mix = self.false_positive_mix
+        if mix is not None and not 0 < sum(mix) <= 1 + 1e-9:
+            raise ValueError(f"detector.false_positive_mix = {mix}: shares of classes add up to 1.")
+        for row in self.confusion_p or ():
+            if sum(row) > 1 + 1e-9:
+                raise ValueError(f"detector.confusion_p: the row {row} adds up to more than 1.")
 
 
 @lru_cache(maxsize=8)
@@ -133,16 +138,6 @@ def _profile(name: str) -> dict:
     path = Path(__file__).parent / "profiles" / f"{'avod' if name == 'ideal' else name}.toml"
     stated = tomllib.loads(path.read_text(encoding="utf-8"))
     return stated["first_guess"] | stated["fitted"]
-
-
-def _check_shares(params: DetectorParams) -> None:
-    """ValueError where shares that belong together do not add up."""
-    mix = params.false_positive_mix
-    if mix is not None and not 0 < sum(mix) <= 1 + 1e-9:
-        raise ValueError(f"detector.false_positive_mix = {mix}: shares of classes add up to 1.")
-    for row in params.confusion_p or ():
-        if sum(row) > 1 + 1e-9:
-            raise ValueError(f"detector.confusion_p: the row {row} adds up to more than 1.")
 
 
 def resolved(params: DetectorParams) -> SimpleNamespace:
@@ -320,26 +315,10 @@ class IdealDetector:
         label: UInt8[ndarray, "n"],
         range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsAccuracy`: detections are exact."""
+        """See `sensors.detector.KnowsAccuracy` and `KnowsShapeAccuracy`: detections are exact."""
         return np.zeros(len(n_points))
 
-    def heading_sigma_rad(
-        self,
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-        range_m: Float[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsShapeAccuracy`: detections are exact."""
-        return np.zeros(len(n_points))
-
-    def size_sigma(
-        self,
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-        range_m: Float[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsShapeAccuracy`: detections are exact."""
-        return np.zeros(len(n_points))
+    heading_sigma_rad = size_sigma = position_sigma_m
 
 
 def _detected(
