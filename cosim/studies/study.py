@@ -304,7 +304,7 @@ def _section(model: type, given: Any, name: str, where: str) -> Any:
         raise ValueError(f"{name} should be a section [{name}] in {where}.")
     known = [f.name for f in fields(model)]
     if unknown := [key for key in given if key not in known]:
-        raise ValueError(f"{name}.{unknown[0]}: unknown key in {where}. Known: {', '.join(known)}.")
+        raise config_data.unknown_key(unknown[0], known, f"{name}.", where)
     return config_data.validated(model, given, name, where)
 
 

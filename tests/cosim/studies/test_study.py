@@ -182,7 +182,7 @@ def test_merged_run_is_the_same_for_any_order_of_the_file(tmp_path):
         (HEAD + "[grid]\nradio.range_m = [100, 200]\n[[zip]]\nradio.range_m = [1, 2]\n", "swept twice"),
         (HEAD + "[grids]\nradio.range_m = [100, 200]\n", "unknown section"),
         (HEAD + "[keep]\ntables = ['lies']\n[grid]\nradio.range_m = [100, 200]\n", "there is no 'lies'"),
-        (HEAD + "[limits]\nretry = 1\n[grid]\nradio.range_m = [100, 200]\n", "unknown key"),
+        (HEAD + "[limits]\nretry = 1\n[grid]\nradio.range_m = [100, 200]\n", "Did you mean limits.retries"),
         (HEAD + "[[base.trust_variant]]\nname = 'v'\n[grid]\nradio.range_m = [100, 200]\n", "trust_variant"),
         (
             HEAD.replace("[base]", "baseline = {'trust.tau' = 1}\n[base]") + "[grid]\nradio.range_m = [1, 2]\n",
