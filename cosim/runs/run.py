@@ -93,7 +93,7 @@ def run(
                 manifest.summary = scene_summary(scenario).lines
                 manifest.begin()
                 recorder = _recorder(folder.path, parts, 0)
-                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else scenario.warmup_of(config.traffic)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
                 drive.on_step = on_step
             except BaseException as error:
@@ -161,7 +161,7 @@ def resume(path: str | Path, advance: Advance, traffic_from: Path | None = None,
                 went.summary = scene_summary(scenario).lines
                 recorder = _recorder(path, parts, found.end_step)
                 went.resumed_at = [*manifest.get("resumed_at", []), found.end_step]
-                warmup_s = 0.0 if traffic_from is not None else warmup_of(config, scenario)
+                warmup_s = 0.0 if traffic_from is not None else scenario.warmup_of(config.traffic)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, went, advance, stop)
                 drive.state = _kept_state(path, found, config, went.config_sha256)
                 drive.expected = _last_poses(path, found)
@@ -190,7 +190,7 @@ def record_traffic(config: Config, path: Path, advance: Advance) -> Path:
         folder = run_folder.create(path, scenario.name)
         manifest = Manifest(path, config, provenance(config, scenario), sources(config))
         manifest.begin()
-        warm_up(warmup_of(config, scenario), traffic, watch, advance)
+        warm_up(scenario.warmup_of(config.traffic), traffic, watch, advance)
         recorder = Recorder(path, "standard", config.record.block_steps)
         for number in range(config.n_steps):
             try:
@@ -249,11 +249,6 @@ def resumable(path: Path, trust_code: bool) -> Config:
         names = ", ".join(changed) or "choices"
         raise ValueError(f"{path}: {names}, which was changed since. Run again.")
     return config
-
-
-def warmup_of(config: Config, scenario: Scenario) -> float:
-    """Duration of the traffic before the first step [s]."""
-    return scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
 
 
 def load_parts(

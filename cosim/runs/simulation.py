@@ -115,7 +115,7 @@ class Simulation:
         self._variants = tuple(variant.name for variant in self._parts.trust.variants)
         self._n_steps = 0
         try:
-            warmup_s = running.warmup_of(self.config, self._scenario)
+            warmup_s = self._scenario.warmup_of(self.config.traffic)
             warm_up(warmup_s, self._traffic, self._parts.watch, lambda *_: None)
         except BaseException:
             self._traffic.close()

@@ -113,14 +113,9 @@ def _cheaper(config: Config, wall_s: float, speed: MachineSpeed) -> str:
 
 def warmup_s(config: Config) -> float:
     """Processor time of the traffic before the first recorded step [s]."""
-    lasts_s = _warmup_of(config)
-    return lasts_s / config.traffic.step_s * SUMO_S * vehicles_on_road(config) / HELSINKI
-
-
-def _warmup_of(config: Config) -> float:
-    if config.traffic.warmup_s is not None:
-        return config.traffic.warmup_s
-    return scenario_of(config.traffic.scenario, config.traffic.trace).warmup_s
+    traffic = config.traffic
+    lasts_s = scenario_of(traffic.scenario, traffic.trace).warmup_of(traffic)
+    return lasts_s / traffic.step_s * SUMO_S * vehicles_on_road(config) / HELSINKI
 
 
 def traffic_s(config: Config) -> float:

@@ -78,8 +78,7 @@ def note_vehicles(scenario: Scenario, n_vehicles: float, begin_s: float | None, 
 
 def _middle_s(config: Config, scenario: Scenario) -> float:
     """Time from the begin of the traffic to the middle of what is recorded [s]."""
-    warmup_s = scenario.warmup_s if config.traffic.warmup_s is None else config.traffic.warmup_s
-    return warmup_s + config.traffic.duration_s / 2
+    return scenario.warmup_of(config.traffic) + config.traffic.duration_s / 2
 
 
 def _place_of(scenario: Scenario, begin_s: float | None, after_s: float) -> str:

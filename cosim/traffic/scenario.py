@@ -55,6 +55,10 @@ class Scenario:
     switches: frozenset[str] = frozenset()
     """Options of SUMO that the configuration switches on."""
 
+    def warmup_of(self, params: TrafficParams) -> float:
+        """Duration of the traffic before the first recorded step [s]: that of the config, else that of the city."""
+        return self.warmup_s if params.warmup_s is None else params.warmup_s
+
     def traffic(
         self,
         params: TrafficParams,

@@ -13,7 +13,7 @@ from cosim.config.config import Config, load
 from cosim.messages.trust_hosts import HostState
 from cosim.runs import recording
 from cosim.runs.drive import warm_up
-from cosim.runs.run import load_parts, warmup_of
+from cosim.runs.run import load_parts
 from cosim.step.cycle import step
 from cosim.step.state import State
 from cosim.traffic.scenario import find
@@ -96,7 +96,7 @@ def _measured(config: Config) -> tuple[float, dict[str, float]]:
     hosts = [HostState(Timed(host.model, adds(name))) for name, host in zip(names, state.trust.hosts, strict=True)]  # type: ignore[arg-type]
     state = replace(state, trust=replace(state.trust, hosts=hosts))
     try:
-        warm_up(warmup_of(config, scenario), traffic, parts.watch, lambda *_: None)
+        warm_up(scenario.warmup_of(config.traffic), traffic, parts.watch, lambda *_: None)
         with TemporaryDirectory() as folder:
             variants = [variant.name for variant in parts.trust.variants]
             recorder = Recorder(Path(folder), config.record.level, config.record.block_steps, variants=variants)

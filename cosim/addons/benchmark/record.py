@@ -335,7 +335,7 @@ def simulated(configs: Sequence[Config], label: str, advance: Advance) -> list[C
         of_case = replace(one, perception=shared)
         cases.append(Case(of_case, State.start(of_case)))
     try:
-        warm_up(running.warmup_of(config, scenario), traffic, base.watch, lambda *_: None)
+        warm_up(scenario.warmup_of(config.traffic), traffic, base.watch, lambda *_: None)
         for number in range(n_steps):
             world = traffic.advance()
             for case in cases:

@@ -144,7 +144,7 @@ def _joined(fleets: Sequence[Fleet]) -> Predicted:
 
 def _worlds(config: Config, parts: Parts, scenario: Any, traffic: Any, advance: Advance) -> Iterator[World]:
     """The worlds of the recorded steps."""
-    warm_up(running.warmup_of(config, scenario), traffic, parts.watch, advance)
+    warm_up(scenario.warmup_of(config.traffic), traffic, parts.watch, advance)
     for number in range(config.n_steps):
         try:
             world = traffic.advance()

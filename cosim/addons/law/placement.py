@@ -196,7 +196,7 @@ def observe(config: Config, height_m: float, advance: Advance) -> tuple[list[Jun
         min(cap, 65_000),
     )
     try:
-        warm_up(running.warmup_of(config, scenario), traffic, parts.watch, advance)
+        warm_up(scenario.warmup_of(config.traffic), traffic, parts.watch, advance)
         for number in range(config.n_steps):
             try:
                 world = traffic.advance()
