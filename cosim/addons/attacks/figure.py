@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +10,7 @@ from matplotlib.figure import Figure
 from results.figures import style
 from results.metrics import trust
 from results.run import Run
+from results.study import said
 
 _HONEST = "honest"
 
@@ -61,7 +61,7 @@ def labels(run: Run) -> dict[int, str]:
         words = [section["attack"]]
         for key, value in section.items():
             if key != "ids" and any(other.get(key) != value for other in alike):
-                words.append(f"{key} {_plain(value)}")
+                words.append(f"{key} {said(value)}")
         found[number] = ", ".join(words)
     names = list(found.values())
     for i, name in found.items():
@@ -99,7 +99,3 @@ def _panel(axes: Axes, run: Run) -> None:
 def _look(i: int) -> dict[str, Any]:
     inks = (*style.INKS[1:], style.INKS[0])
     return {"color": inks[i % len(inks)], "linestyle": style.dash(i)}
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float | np.floating) else str(value)

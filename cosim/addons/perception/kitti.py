@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from cosim.addons.perception.overlap import in_blocks, iou_3d, iou_bev, near_pairs
 from cosim.base.ragged import differs_from_last, place_in_group
+from cosim.base.rows import Rows
 
 LEVELS = ("easy", "moderate", "hard", "all")
 MIN_HEIGHT_PX = (40, 25, 25, 0)
@@ -38,7 +39,7 @@ Overlap = Literal["3d", "bev"]
 
 
 @dataclass(frozen=True, slots=True)
-class LabelledObjects:
+class LabelledObjects(Rows):
     """Labelled boxes of many frames, in file order within a frame."""
 
     frame: Int[ndarray, "n"]

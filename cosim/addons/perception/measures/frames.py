@@ -1,6 +1,6 @@
 """Frames of a run: what is ahead of an equipped vehicle in a step, what it sees of it, and what it reports."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -82,7 +82,7 @@ class Frames:
 
         def within(objects: LabelledObjects) -> LabelledObjects:
             away_m = range_of(objects)
-            return rows(objects, (away_m >= near_m) & (away_m < far_m))
+            return objects.take((away_m >= near_m) & (away_m < far_m))
 
         return average_precision(within(truth), within(found), label, kind, overlap)["hard"].ap40
 
@@ -90,8 +90,3 @@ class Frames:
 def range_of(objects: LabelledObjects) -> Float[ndarray, "n"]:
     """Horizontal distance of objects from their observers [m]."""
     return np.hypot(objects.box[:, 0], objects.box[:, 1])
-
-
-def rows(objects: LabelledObjects, keep: Bool[ndarray, "n"]) -> LabelledObjects:
-    """Some of the objects, in their order."""
-    return LabelledObjects(*(getattr(objects, f.name)[keep] for f in fields(LabelledObjects)))

@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from cosim.addons.perception.kitti import LOOSE, STRICT, LabelledObjects, average_precision
-from cosim.addons.perception.measures.frames import Frames, range_of, rows
+from cosim.addons.perception.measures.frames import Frames, range_of
 from cosim.addons.perception.overlap import iou_3d
 from results.run import Run
 
@@ -68,7 +68,7 @@ def recall_by_overlap(
     truth, boxes = frames.truth, frames.found
     is_seen = (frames.n_points >= min_points) & (frames.range_m <= range_m)
     counts = np.isin(truth.label, labels) & is_seen
-    best = _best_overlap(rows(truth, counts), rows(boxes, boxes.score >= min_score))
+    best = _best_overlap(truth.take(counts), boxes.take(boxes.score >= min_score))
     return [float((best > share).mean()) for share in overlaps]
 
 
@@ -92,9 +92,9 @@ def boxes_per_frame(run: Run, *, min_score: float, range_m: float) -> list[float
 def position_error_of_boxes(run: Run, *, label: str, range_m: float, match_m: float, min_score: float) -> list[float]:
     """Mean horizontal distance between objects and the boxes nearest to them, if it is at most `match_m` [m]."""
     frames = Frames.of(run)
-    truth = rows(frames.truth, (frames.truth.label == label) & (frames.range_m <= range_m))
+    truth = frames.truth.take((frames.truth.label == label) & (frames.range_m <= range_m))
     boxes = frames.found
-    boxes = rows(boxes, (boxes.label == label) & (boxes.score >= min_score))
+    boxes = boxes.take((boxes.label == label) & (boxes.score >= min_score))
     away = _nearest(truth, boxes, match_m)
     return [float(away[away <= match_m].mean())]
 
