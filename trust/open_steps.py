@@ -10,7 +10,7 @@ from numpy import ndarray
 from cosim.base.kernel import compiled
 from cosim.base.ragged import rows_of
 from trust.pair_index import merged
-from trust.tables import EvaluationMessages, ReceivedEvaluations, float64, int64, pair_key
+from trust.tables import ReceivedEvaluations, float64, int64, pair_key
 
 MAX_DETECTIONS = 1 << 18
 """Detection indices are below this."""
@@ -265,13 +265,5 @@ class OpenSteps:
             return None
         part = self._steps[step].accept(received)
         self.rejected += part.n_rejected
-        valid = EvaluationMessages(
-            step=step,
-            evaluator=messages.evaluator,
-            ptr=part.ptr,
-            observer=messages.observer[part.kept],
-            detection_index=messages.detection_index[part.kept],
-            evaluation=messages.evaluation[part.kept],
-            visibility=messages.visibility[part.kept],
-        )
+        valid = messages.with_rows(part.kept, messages.evaluator, part.ptr)
         return ReceivedEvaluations(valid, part.holder, part.message_row, received.eta, received.is_own)

@@ -213,15 +213,15 @@ class EvaluationMessages:
     def rows(self, keep: Bool[ndarray, "n"]) -> "EvaluationMessages":
         """All messages, with only these of their evaluations."""
         at = np.flatnonzero(keep)
-        return self._with_rows(at, self.evaluator, np.searchsorted(at, self.ptr))
+        return self.with_rows(at, self.evaluator, np.searchsorted(at, self.ptr))
 
     def taken(self, message: Int[ndarray, "k"]) -> "EvaluationMessages":
         """These messages, in this order."""
         n = np.diff(self.ptr)[message]
         at = ranges(self.ptr[:-1][message], n)
-        return self._with_rows(at, self.evaluator[message], offsets(n))
+        return self.with_rows(at, self.evaluator[message], offsets(n))
 
-    def _with_rows(
+    def with_rows(
         self,
         at: Int[ndarray, "m"],
         evaluator: Int[ndarray, "k"],

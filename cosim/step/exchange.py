@@ -212,12 +212,8 @@ def stations_of(world: World, row: Int[ndarray, "v"], rsus: RsuAntennas, above_r
 
 def abuse_of(sending: Sending, n_rsus: int) -> ChannelAbuse:
     """Effects of attacks on the channel, per station: vehicles, then roadside units, which never attack."""
-    honest = Sending.plain(n_rsus)
-    return ChannelAbuse(
-        jam_dbm=np.concatenate([sending.jam_dbm, honest.jam_dbm]),
-        react_dbm=np.concatenate([sending.react_dbm, honest.react_dbm]),
-        ignores_dcc=np.concatenate([sending.ignores_dcc, honest.ignores_dcc]),
-    )
+    every = Sending.concat([sending, Sending.plain(n_rsus)])
+    return ChannelAbuse(every.jam_dbm, every.react_dbm, every.ignores_dcc)
 
 
 @dataclass(frozen=True, slots=True)

@@ -228,14 +228,9 @@ class Inbox:
             np.concatenate([lists.member, n_now + self.evaluated.member]),
             np.arange(len(exchange.senders) + len(self.step)),
         )
-        both = [
-            Evaluations(
-                np.concatenate([one.evaluation, self.evaluations.evaluation]),
-                np.concatenate([one.visibility, self.evaluations.visibility]),
-            )
-            for one in (own, sent)
-        ]
-        return joined, both[0], both[0] if own is sent else both[1]
+        all_own = Evaluations.concat([own, self.evaluations])
+        all_sent = all_own if sent is own else Evaluations.concat([sent, self.evaluations])
+        return joined, all_own, all_sent
 
     def reports_used(self, exchange: Exchange, received: Receptions) -> Uses:
         """The evaluation messages that the vehicles that sense use: `received` in this step, and earlier."""
@@ -269,10 +264,7 @@ class Inbox:
                 np.concatenate([old.member, moved[lists.member]]),
                 np.arange(n + len(senders)),
             ),
-            evaluations=Evaluations(
-                np.concatenate([self.evaluations.evaluation, sent.evaluation]),
-                np.concatenate([self.evaluations.visibility, sent.visibility]),
-            ),
+            evaluations=Evaluations.concat([self.evaluations, sent]),
             cpms=self.cpms,
             reports=self.reports,
         )
@@ -319,7 +311,7 @@ class Inbox:
             from_own_m=self.from_own_m[held],
             pairs=_with_numbers(self.pairs, new_row),
             evaluated=ObjectLists(ptr_of(by, len(kept)), members, np.arange(len(kept))),
-            evaluations=Evaluations(self.evaluations.evaluation[rows], self.evaluations.visibility[rows]),
+            evaluations=self.evaluations.take(rows),
             cpms=used(self.cpms),
             reports=used(self.reports),
         )

@@ -1,7 +1,7 @@
 """Trust in recorded data sets: agents evaluate each other's boxes by their own detections and clouds."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -112,13 +112,7 @@ def trusted(data: Recorded, cooperating: Sequence[Int[ndarray, "k"]], boxes: Rec
         for name in names:
             present[name] += 1
     rows = np.concatenate(chosen)
-    fused = RecordedBoxes(
-        frame=boxes.frame[rows],
-        agent=boxes.agent[rows],
-        label=boxes.label[rows],
-        box=boxes.box[rows],
-        score=np.concatenate(scores),
-    )
+    fused = replace(boxes.take(rows), score=np.concatenate(scores))
     final = model.scores()
     of = {one: row for row, one in enumerate(final.subject.tolist())}
     lines = []
