@@ -595,30 +595,6 @@ class TrustScores(Rows):
         """
         return rows_of(pair_key(holder, subject), pair_key(self.holder, self.subject))
 
-    def trust_of(
-        self,
-        holder: Int[ndarray, "q"],
-        subject: Int[ndarray, "q"],
-        default: float,
-    ) -> Float[ndarray, "q"]:
-        """Trust of holders in subjects.
-
-        Parameters
-        ----------
-        holder, subject
-            Pairs in any order; a pair may occur several times.
-        default
-            Trust in a subject about which its holder has no evidence.
-
-        Returns
-        -------
-        Trust in [0, 1] for each pair.
-        """
-        at, found = self.rows_of(holder, subject)
-        out = np.full(subject.shape, default)
-        out[found] = self.trust[at[found]]
-        return out
-
 
 def pair_key(
     holder: Int[ndarray, "n"],

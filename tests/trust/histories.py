@@ -63,8 +63,17 @@ def add(model, step, rows, holder=SERVER):
     model.add_evaluations(received_by(step, rows, holder))
 
 
+def values_of(scores, subjects, holder=SERVER):
+    """Trust of a holder in subjects; 1/2 where it has none."""
+    subjects = np.asarray(subjects)
+    row, is_there = scores.rows_of(np.full(len(subjects), holder), subjects)
+    found = np.full(len(subjects), 0.5)
+    found[is_there] = scores.trust[row[is_there]]
+    return found
+
+
 def trust_of(model, subject, now=None, holder=SERVER):
-    return model.scores(now).trust_of(np.array([holder]), np.array([subject]), 0.5)[0]
+    return values_of(model.scores(now), [subject], holder)[0]
 
 
 def rejected(model):

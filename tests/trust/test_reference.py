@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.trust.histories import messages_from_rows
+from tests.trust.histories import add, values_of
 from tests.trust.reference import LABELS, detections_of, load, one_view
 from tests.verification import paper
 from trust.evaluation import evaluate, visibility
@@ -15,12 +15,10 @@ from trust.models.trupercept import TruPercept
 from trust.open_steps import RejectReason
 from trust.params import TrustParams
 from trust.tables import (
-    SERVER,
     Evaluations,
     FusionInput,
     Groups,
     ObjectLists,
-    ReceivedEvaluations,
     SenderTrust,
     SentDetections,
 )
@@ -147,10 +145,8 @@ def test_vehicle_trust():
                 for v, entry in frame.items()
                 for r in entry["evals"]
             ]
-            messages = messages_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
-            n_messages = messages.evaluator.size
-            model.add_evaluations(ReceivedEvaluations(messages, np.full(n_messages, SERVER), np.arange(n_messages)))
-            got = model.scores(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+            add(model, t, rows)
+            got = values_of(model.scores(t), ids)
             exact = case["reference_exact_window_val"][t]
             for v, trust in zip(ids, got, strict=True):
                 expected = case["result"][t]["mem"][str(v)]["val"] if sound else exact[str(v)]
@@ -337,10 +333,8 @@ def test_pipeline_trust():
                 np.array([k for _, k in keys]),
                 np.array([scores[key] for key in keys]),
             )
-            messages = messages_from_rows(t, *np.array(rows, float).reshape(-1, 5).T)
-            n_messages = messages.evaluator.size
-            model.add_evaluations(ReceivedEvaluations(messages, np.full(n_messages, SERVER), np.arange(n_messages)))
-            got = model.scores(t).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+            add(model, t, rows)
+            got = values_of(model.scores(t), ids)
             recorded = next(r for r in run["vehicle_trust"] if r["frame"] == frame)["mem"]
             for v, trust in zip(vehicles, got, strict=True):
                 if str(v) in recorded and v not in tainted:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.trust.histories import messages_from_rows
+from tests.trust.histories import add, values_of
 from tests.trust.reference import load
 from trust.evaluation import evaluate
 from trust.fusion import SensorEvidence, fuse
@@ -13,11 +13,9 @@ from trust.matching import match
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
 from trust.tables import (
-    SERVER,
     Evaluations,
     FusionInput,
     ObjectLists,
-    ReceivedEvaluations,
     SenderTrust,
     SentDetections,
 )
@@ -46,10 +44,8 @@ def curves(n_false, params, n_steps=101, honest=EVALUATED, false=FALSE, start=50
         table = [(row, k, s) for row, v in enumerate(sorted(sent)) for k, (s, _) in enumerate(sent[v])]
         model.open_step(step, ids, *(np.array(c) for c in zip(*table, strict=True)))
         rows = [(by, v, k, e, phi) for v in sent for k, (_, given) in enumerate(sent[v]) for by, e, phi in given]
-        messages = messages_from_rows(step, *np.array(rows, float).T)
-        n = messages.evaluator.size
-        model.add_evaluations(ReceivedEvaluations(messages, np.full(n, SERVER), np.arange(n)))
-        out[step] = model.scores(step).trust_of(np.full(ids.size, SERVER), ids, 0.5)
+        add(model, step, rows)
+        out[step] = values_of(model.scores(step), ids)
     return out.T
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.trust.histories import COLUMNS, add, histories, messages_from_rows, open_step
+from tests.trust.histories import COLUMNS, add, histories, messages_from_rows, open_step, values_of
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
 from trust.params import TrustParams
@@ -38,7 +38,7 @@ def test_twin(world, f, unseen, weighting, window):
             expected = paper.vehicle_trust(
                 v, step, steps, by_name, records, 0.5, unseen == "skip", weighting == "score"
             )
-            ours = scores.trust_of(np.array([SERVER]), np.array([v]), 0.5)[0]
+            ours = values_of(scores, [v])[0]
             assert ours == pytest.approx(expected, abs=1e-9)  # sums of fixed-point numbers
         assert_evaluators(scores, step - steps, by_name, records, weighting)
 

@@ -58,16 +58,6 @@ class Durations(Rows):
         """Whether the end was observed."""
         return np.isfinite(self.high_s)
 
-    @staticmethod
-    def independent(
-        low_s: ndarray, high_s: ndarray, entry_s: ndarray | float = 0.0, step_s: float = 0.0
-    ) -> "Durations":
-        """Durations that share no actors."""
-        n = len(low_s)
-        entry = np.broadcast_to(np.asarray(entry_s, float), n).copy()
-        low, high = np.asarray(low_s, float), np.asarray(high_s, float)
-        return Durations(low, high, entry, np.arange(n), np.arange(n) + n, step_s)
-
 
 def definitions(run: Run) -> pd.DataFrame:
     """The definitions of encounters of a run, one row each: the columns of `DEFINITION`."""

@@ -20,11 +20,6 @@ class Company(NamedTuple):
     """Probability that each state has changed by the next sweep."""
 
     @staticmethod
-    def constant(p: float) -> "Company":
-        """One chance of evaluation for all subjects and sweeps."""
-        return Company((p, p), 1.0, (0.0, 0.0))
-
-    @staticmethod
     def measured(
         p: Float[ndarray, "k"],
         subject: Int[ndarray, "k"],

@@ -43,7 +43,7 @@ class ReportCount(Stepwise):
 
     def advance(self, state: ndarray, n_steps: int, step: int, rows: StepRows, n_pairs: int) -> ndarray:
         """Number of reports about each pair after a step."""
-        new = with_rows(state, n_pairs).copy()
+        new = with_rows(state, n_pairs)
         return new + rows.per_observer((rows.neg > rows.pos).astype(float), len(new))
 
     def read(self, state: ndarray, n_steps: int, now: int) -> Reading:

@@ -33,6 +33,12 @@ SCIPY = {
 }
 
 
+def independent(low_s, high_s, entry_s=0.0, step_s=0.0):
+    """Durations that share no actors."""
+    n = len(low_s)
+    return Durations(low_s, high_s, np.full(n, entry_s), np.arange(n), np.arange(n) + n, step_s)
+
+
 def stepped(lasted_s, random, cut_s=math.inf, step_s=1.0):
     """What is seen in steps of durations that begin anywhere between two, cut off at random times."""
     n = np.floor(lasted_s / step_s + random.uniform(size=len(lasted_s)))
@@ -40,7 +46,7 @@ def stepped(lasted_s, random, cut_s=math.inf, step_s=1.0):
     keep = n >= 1
     n, ended = np.minimum(n, cut)[keep], (n <= cut)[keep]
     high_s = np.where(ended, (n + 0.5) * step_s, np.inf)
-    return Durations.independent((n - 0.5) * step_s, high_s, 0.5 * step_s, step_s)
+    return independent((n - 0.5) * step_s, high_s, 0.5 * step_s, step_s)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -61,7 +67,7 @@ def test_exponential_in_closed_form():
     """Observed ends as points, 5 of 7: the mean is the total time over the ends, its error mean / sqrt(ends)."""
     lasted, tiny = np.array([3.0, 5, 8, 13, 21, 34, 55] * 8), 1e-3
     ended = np.array([True] * 5 + [False] * 2) & np.ones((8, 7), bool)
-    sample = Durations.independent(lasted, np.where(ended.ravel(), lasted + tiny, np.inf))
+    sample = independent(lasted, np.where(ended.ravel(), lasted + tiny, np.inf))
     found = fit(sample, "exponential")
     assert found.parameters()["mean_s"][0] == pytest.approx(lasted.sum() / 40, rel=1e-4)
     # log-likelihood: -40 (log mean + 1) + 40 log(width of the intervals)
@@ -77,7 +83,7 @@ def test_left_truncation_in_closed_form():
     random = np.random.default_rng(3)
     entry = random.uniform(0, 30, 4000)
     lasted = entry + random.exponential(20.0, 4000)
-    found = fit(Durations.independent(lasted, lasted + 1e-6, entry), "exponential")
+    found = fit(independent(lasted, lasted + 1e-6, entry), "exponential")
     assert found.parameters()["mean_s"][0] == pytest.approx((lasted - entry).mean(), rel=1e-3)
 
 
@@ -135,14 +141,14 @@ def test_an_interval_without_an_end_reaches_the_bound_of_its_parameter():
     """45 durations of a Weibull distribution say next to nothing of two means."""
     random = np.random.default_rng(3)
     n, ended = np.ceil(random.weibull(0.7, 45) * 15), random.random(45) < 0.7
-    sample = Durations.independent(n - 0.5, np.where(ended, n + 0.5, np.inf), 0.5, 1.0)
+    sample = independent(n - 0.5, np.where(ended, n + 0.5, np.inf), 0.5, 1.0)
     found = fit(sample, "hyper_exponential").parameters()
     assert found["short_share"][1:] == (0.0, 1.0) and found["short_mean_s"][1] == 0 and found["ratio_of_means"][1] == 1
 
 
 @pytest.mark.parametrize("n", [0, 19])
 def test_too_few_are_told(n):
-    sample = Durations.independent(np.arange(n) + 1.0, np.arange(n) + 2.0)
+    sample = independent(np.arange(n) + 1.0, np.arange(n) + 2.0)
     with pytest.raises(ValueError, match=f"^{n} observed ends are too few"):
         fit(sample, "exponential")
 
@@ -152,7 +158,7 @@ def test_too_few_are_told(n):
 def test_product_limit_is_kaplan_meier(rows):
     """Without entries it is SciPy's, where what is cut off leaves before the ends of the same step."""
     n, ended = np.array([r[0] for r in rows], float), np.array([r[1] for r in rows])
-    ours = product_limit(Durations.independent(n - 0.5, np.where(ended, n + 0.5, np.inf), 0.5))
+    ours = product_limit(independent(n - 0.5, np.where(ended, n + 0.5, np.inf), 0.5))
     theirs = kaplan_meier(np.where(ended, n, n - 0.5), ended)
     for step, survival in zip(theirs.duration_s, theirs.survival, strict=True):
         assert ours.survival[ours.duration_s <= step + 0.5 * (step == round(step))].iloc[-1] == pytest.approx(
@@ -166,7 +172,7 @@ def test_product_limit_with_late_entries():
     Ends at 3, 5, 5 and 7: at risk 3 (a, b, c), then b, c, d, then d.
     """
     end, entry = np.array([3.0, 5, 5, 7]), np.array([0.0, 0, 0, 4])
-    curve = product_limit(Durations.independent(end - 1, end, np.minimum(entry, end - 1)))
+    curve = product_limit(independent(end - 1, end, np.minimum(entry, end - 1)))
     assert curve.n_at_risk.tolist() == [4, 3, 3, 1]
     np.testing.assert_allclose(curve.survival, [1, 2 / 3, 2 / 9, 0])
 

@@ -10,6 +10,7 @@ from cosim.addons.law.prediction import FleetFindings, counted
 from cosim.addons.law.scope import Server
 
 NOTHING = law.Encounters(*(np.zeros(0, np.int64),) * 7, np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 0), bool))
+EVEN = Company((0.5, 0.5), 1.0, (0.0, 0.0))
 
 
 def test_drawn_runs_have_the_chances_as_means():
@@ -25,7 +26,7 @@ def test_drawn_runs_have_the_chances_as_means():
         np.zeros(2, int),
         NOTHING,
         np.array([0.5, 1.0]),
-        Company.constant(0.5),
+        EVEN,
     )
     run = drawn(found, np.random.default_rng(3))
     share = 1 - np.exp(run.evidence.log_none).mean(axis=(1, 2))
@@ -40,7 +41,7 @@ def test_no_lookup_is_stale_where_all_ages_are_below_the_window():
     pairs = law.PairSteps(*(np.zeros(0, np.int64),) * 4, np.zeros(0))
     chances = np.random.default_rng(4).random((1, 1, 60))
     evidence = law.EvidenceChances(-0.1 * chances)
-    found = FleetFindings(evidence, np.zeros(1, int), pairs, step[:0], NOTHING, np.ones(1), Company.constant(0.5))
+    found = FleetFindings(evidence, np.zeros(1, int), pairs, step[:0], NOTHING, np.ones(1), EVEN)
     looks = law.ExpectedLookups(0 * step, step, step[:, None], chances[0, :, 1:].T, 0.0 * step)
     server, gate = Server("base", 1.0, 50.0, 50, False), law.PublishingSteps(1, step.tolist())
     _, metrics = counted(server, found, gate, looks, np.arange(61.0), 0.0)

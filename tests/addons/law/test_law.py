@@ -17,6 +17,11 @@ def looks(subject, step, publication, n, none=0.0):
     )  # fmt: skip
 
 
+def constant(q):
+    """One chance of evaluation for all subjects and sweeps."""
+    return Company((q, q), 1.0, (0.0, 0.0))
+
+
 def test_gate_by_hand():
     # Sensing every 0.5 s, a period of 1.2 s: publications are 3 steps apart, because the third step is the first that
     # is 1.2 s or more after the last publication.
@@ -174,7 +179,7 @@ def test_closed_form_as_simulated(q, period, loss_p):
         if held > 0 and held - last[held - 1] < window:
             ages.append(step - last[held - 1])
     want = np.bincount(ages, minlength=200)[:200] / len(ages)
-    got = closed_form(Company.constant(q), period, window, loss_p, 200)
+    got = closed_form(constant(q), period, window, loss_p, 200)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.01
     assert got.sum() == pytest.approx(1)
 
@@ -186,7 +191,7 @@ def test_closed_form_is_the_law_of_a_constant_chance():
     found = law.ages(
         evidence, looks(np.zeros(100, int), steps, steps - steps % period, np.ones(100)), window, np.zeros(1, int)
     )
-    got = closed_form(Company.constant(q), period, window, 0.0, n_steps + 1)
+    got = closed_form(constant(q), period, window, 0.0, n_steps + 1)
     assert found.newest / found.newest.sum() == pytest.approx(got, abs=1e-7)
 
 
@@ -207,7 +212,7 @@ def test_closed_form_of_company_and_solitude_as_simulated():
     got = closed_form(Company(p, 1.0, ends), period, window, 0.0, 200)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.015
     # One mean chance would have the tail far too short.
-    one = closed_form(Company.constant(0.8), period, window, 0.0, 200)
+    one = closed_form(constant(0.8), period, window, 0.0, 200)
     tail = [law.quantile(np.arange(200.0), x, 0.97) for x in (got, want, one)]
     assert tail[0] == pytest.approx(tail[1], rel=0.1) and tail[2] < 0.6 * tail[1]
 
@@ -228,7 +233,7 @@ def test_closed_form_of_random_phases_as_simulated():
                     ages.append(b - sweep * every)
                 break
     want = np.bincount(ages, minlength=100)[:100] / len(ages)
-    got = closed_form(Company.constant(q), 1, window, 0.0, 100, every)
+    got = closed_form(constant(q), 1, window, 0.0, 100, every)
     assert np.abs(np.cumsum(got) - np.cumsum(want)).max() < 0.03
 
 
