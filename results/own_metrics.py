@@ -42,7 +42,7 @@ COLUMNS = ["metric", "group", "value", "low", "high", "n_units", "unit", "label"
 
 
 LARGEST = 1e100
-"""Squares of far larger values, of which intervals are made, are no finite numbers."""
+"""Largest size of a value: intervals are made of squares, and the square of a far larger value is not finite."""
 
 
 def is_value(value: Any) -> bool:

@@ -85,7 +85,8 @@ def false_positives(sweeps: Sweeps, seen: Observability, draws: DetectorDraws, m
     shares = np.array([persistent * shared, persistent * (1.0 - shared), 1.0 - persistent])
     found = _at_sites(sweeps, seen, draws, model, shares)
     o = found.observer
-    # Three uniforms that belong to the site for good: class, size, heading.
+    # Three uniforms that belong to the site for good: class, size, heading. The hashes before them are keys of its
+    # aspects (0 to 3) and of its point (6).
     u_class, u_size, u_heading = uniforms(found.site, 11)[:, 8:].T
     share = np.cumsum(model.false_positive_mix) / np.sum(model.false_positive_mix)
     label = np.searchsorted(share, u_class, side="right").astype(np.uint8)

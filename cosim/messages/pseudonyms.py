@@ -375,8 +375,8 @@ class Pseudonyms:
         world: World,
         observers: Int[ndarray, "e"],
         wants: Bool[ndarray, "e"] | None = None,
-    ) -> tuple[PseudonymState, Int[ndarray, "e"], PseudonymUse]:
-        """The pseudonym of each equipped vehicle in this step.
+    ) -> tuple[PseudonymState, PseudonymUse]:
+        """Give equipped vehicles the pseudonyms of this step.
 
         Parameters
         ----------
@@ -387,7 +387,7 @@ class Pseudonyms:
 
         Returns
         -------
-        The new state, the pseudonyms in the order of `observers`, and the pseudonyms that ended in this step.
+        The new state, and the pseudonyms that ended in this step.
         """
         actor = world.actor[observers]
         xy_m = world.boxes.xyz_m[observers, :2]
@@ -428,7 +428,7 @@ class Pseudonyms:
             "from_xy_m": np.where(takes[:, None], xy_m, state.from_xy_m[actor]),
             "beyond_step": beyond_step,
         }
-        return state.with_columns(actor, columns), current, ended
+        return state.with_columns(actor, columns), ended
 
     def counted(self, state: PseudonymState, actor: Int[ndarray, "k"]) -> PseudonymState:
         """The state after these vehicles have each made a detection message."""

@@ -60,7 +60,7 @@ def identify(
             age_steps = world.step - pseudonyms.begun(world.actor, world.step)
             age_s = age_steps * parts.config.traffic.step_s
             wants = parts.adversary.renewals(world, now.begin_s, own_trust, age_s)[issued]
-        pseudonyms, _, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants)
+        pseudonyms, ended = parts.pseudonyms.issue(pseudonyms, world, issued, wants)
     vehicles = Vehicles(
         row=row,
         actor=actor,

@@ -35,7 +35,7 @@ def change_times(policy, xy_m, seed=3):
     """Times [s] at which a vehicle with these places, ten seconds apart, takes another pseudonym."""
     pseudonyms, state, found = Pseudonyms(policy, seed, DT_S), PseudonymState(), []
     for step, place in enumerate(xy_m):
-        state, _, ended = pseudonyms.issue(state, at(step, place), np.array([0]))
+        state, ended = pseudonyms.issue(state, at(step, place), np.array([0]))
         if len(ended.pseudonym):
             found.append(step * DT_S)
     return np.array(found)
@@ -47,7 +47,8 @@ def test_three_messages_are_three_also_where_a_vehicle_enters_before_its_first_o
     pseudonyms = Pseudonyms(Disposable(DisposableParams(n_messages=3)), 3, DT_S)
     state, used, row = PseudonymState(), [], np.array([0])
     for step in range(0 if enters_silently else 1, 5):
-        state, pseudonym, _ = pseudonyms.issue(state, at(step, (0.0, 0.0)), row)
+        state, _ = pseudonyms.issue(state, at(step, (0.0, 0.0)), row)
+        pseudonym = state.of(row)
         if step > 0:
             state = pseudonyms.counted(state, row)
             used += pseudonym.tolist()
@@ -90,7 +91,7 @@ def test_a_pseudonym_is_in_use_until_the_next_one():
     """
     pseudonyms, state, used = Pseudonyms(Disposable(DisposableParams(n_messages=2)), 3, 0.2), PseudonymState(), []
     for step in range(1, 30, 5):
-        state, _, ended = pseudonyms.issue(state, at(step, (0.0, 0.0)), np.array([0]))
+        state, ended = pseudonyms.issue(state, at(step, (0.0, 0.0)), np.array([0]))
         state = pseudonyms.counted(state, np.array([0]))
         used += list(zip(ended.from_step.tolist(), ended.to_step.tolist(), strict=True))
     assert used == [(1, 10), (11, 20)]
