@@ -19,7 +19,7 @@ from cosim.addons.perception.kitti_frames import (
     sampled_steps,
     with_boxes,
 )
-from cosim.addons.perception.measures.frames import range_of, rows
+from cosim.addons.perception.measures.frames import range_of
 from cosim.base.codes import ObjectClass, labels
 from results.metrics.trust import HONEST
 from results.run import Run
@@ -65,11 +65,11 @@ def precision(
     honest = _honest(run)
     steps = sampled_steps(run, max_frames, honest)
     truth, poses = actors_ahead(run, steps, range_m, honest)
-    truth = rows(truth, range_of(truth) >= nearest_m)
+    truth = truth.take(range_of(truth) >= nearest_m)
     answers = []
     for which in lists:
         found = boxes_ahead(run, which, steps, poses, range_m)
-        found = rows(found, range_of(found) >= nearest_m)
+        found = found.take(range_of(found) >= nearest_m)
         for label in CLASSES:
             limit = (LOOSE if loose else STRICT)[label]
             if not (truth.label == label).any():
