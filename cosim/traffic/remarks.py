@@ -286,7 +286,7 @@ def trace_remarks(summary: dict[str, Any]) -> list[str]:
     if share := summary.get("trace_off_level_p"):
         found.append(
             f"note: {share:.0%} of the vehicles of the trace appear more than {LEVEL_M:g} m above or below the lanes "
-            "of the network, and buildings stand at the height of the lanes. Record the trace with z, or remove the "
-            "network's heights: netconvert --flatten."
+            "of the network, and buildings stand at the height of the lanes. Record the trace with z in this "
+            "network, or remove the network's heights: netconvert --flatten."
         )
     return found
