@@ -151,7 +151,7 @@ def beams(params: LidarParams) -> Beams:
     ascends = (np.diff(elevation) > 0).all()
     if len(elevation) == 0 or not ascends or not (np.abs(elevation) < 90).all():
         raise ValueError(
-            f"lidar.elevation_deg = {tuple(elevation)}: beams must be given in ascending order, each once, strictly "
+            f"lidar.elevation_deg = {elevation.tolist()}: beams must be given in ascending order, each once, strictly "
             "between -90 and 90 degrees. Sort lidar.elevation_deg."
         )
     if n * len(elevation) > _MOST_RAYS:

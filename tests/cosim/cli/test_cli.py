@@ -131,7 +131,7 @@ FOOTPATH = NET + (
         (["run", "--out", "taken"], "already holds a run"),
         (["run", "--out", "full"], "is not empty"),
         (["run", "--out", "file"], "is a file"),
-        (["run", "--set", "lidar.elevation_deg=[3, 1]"], "ascending order"),
+        (["run", "--set", "lidar.elevation_deg=[3, 1]"], "lidar.elevation_deg = [3.0, 1.0]: beams must"),
         (["run", "--set", "lidar.fov_deg=400"], "lidar.fov_deg"),
         (["run", "--set", "radio.range_m=4e4"], "radio.range_m = 40000.0 should be less than or equal to 32000"),
         (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0 = [1, 1]: too few values. `cosim explain rsu.at.0`"),
