@@ -26,13 +26,7 @@ from sensors.tracking.params import TrackingParams
 from sensors.tracking.track import track
 from sensors.tracking.tracks import Found, Observers, TrackMemory
 from tests.bench.timing import least_s
-
-_SIZE_M = np.array(
-    [
-        (4.4, 1.8, 1.5), (5.2, 2.0, 2.2), (9.0, 2.5, 3.5), (12.0, 2.55, 3.2),
-        (2.2, 0.8, 1.6), (1.8, 0.6, 1.7), (0.6, 0.6, 1.75),
-    ]
-)  # fmt: skip
+from tests.sensors.town import sizes
 
 
 def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, "n"]]:
@@ -48,7 +42,7 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
     scene = Scene.from_footprints(rings, np.zeros(len(rings)), rng.uniform(4, 25, len(rings)))
     others = [Shape.VAN, Shape.TRUCK, Shape.BUS, Shape.BICYCLE, Shape.PEDESTRIAN, Shape.PEDESTRIAN]
     shape = rng.choice([Shape.CAR] * 4 + others, n_actors).astype(np.uint8)
-    lwh = _SIZE_M[shape] * rng.uniform(0.95, 1.05, (n_actors, 3))
+    lwh = sizes(rng, shape)
     street, along = rng.integers(0, n_blocks, n_actors) * pitch_m, rng.uniform(0, n_blocks * pitch_m, n_actors)
     lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n_actors), rng.random(n_actors) < 0.5
     x, y = np.where(east, along, street + lane), np.where(east, street + lane, along)

@@ -93,10 +93,6 @@ def _label_aug(moment: Moment, vehicle: int, pose: Float[ndarray, "4"], hidden: 
     return lines
 
 
-def _filtered(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[str]:
-    return _label_aug(moment, vehicle, pose, hidden=False)
-
-
 def _ego_object(moment: Moment, vehicle: int, ego_pose: Float[ndarray, "4"]) -> list[str]:
     row = moment.row(vehicle)
     box = moment.box[[row]]
@@ -125,7 +121,7 @@ def _position(moment: Moment, vehicle: int, pose: Float[ndarray, "4"]) -> list[s
 _TEXTS = {
     "label_2": _label,
     "label_aug_2": _label_aug,
-    "label_aug_filtered_2": _filtered,
+    "label_aug_filtered_2": partial(_label_aug, hidden=False),
     "predictions": kitti.results,
     "ego_object": _ego_object,
     "position_world": _position,

@@ -47,6 +47,8 @@ _BOUNDS = {"per_hour": (0.0, 20_000.0), "lon": (-180.0, 180.0), "lat": (-90.0, 9
 """Of the columns of a file. Ten lanes of a motorway carry 20,000 vehicles per hour."""
 _TIMES = ("hour", "begin", "end", "time", "date", "day", "interval")
 """Columns that say when a row was counted."""
+_DRIVEN_S = 1200.0
+"""Time after the warm-up for which the demand is simulated to count what it drives."""
 _ELEMENT = re.compile(r"<(person|vehicle) .*?</\1>", re.DOTALL)
 _KEPT = re.compile(r'<(person|vehicle) id="[^"]*" type="(pedestrian|bicycle)"')
 
@@ -195,7 +197,7 @@ def fit(net: Net, counted: Counts, out: Path, seed: int) -> Counts:
     return {edge: passed[edge] / hours for edge in counted}
 
 
-def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
+def driven(net: Net, edges: Iterable[str]) -> Counts:
     """Motor vehicles per hour that enter each of these streets when the demand is simulated, after the warm-up."""
     found = dict.fromkeys(edges, 0.0)
     types = vtypes.read([net.folder / "vtypes.add.xml"])
@@ -204,10 +206,10 @@ def driven(net: Net, edges: Iterable[str], seconds: float = 1200.0) -> Counts:
     def start(name: str, attributes: Attributes) -> None:
         if name == "edge" and attributes["id"] in found:
             entered = float(attributes["entered"]) + float(attributes.get("departed", 0.0))
-            found[attributes["id"]] = entered * 3600.0 / seconds
+            found[attributes["id"]] = entered * 3600.0 / _DRIVEN_S
 
     with tempfile.TemporaryDirectory(prefix="sumo_nets.") as name:
-        if (streets := flow.simulate(net, seconds, Path(name), motorised)).is_file():  # there is none without traffic
+        if (streets := flow.simulate(net, _DRIVEN_S, Path(name), motorised)).is_file():  # there is none without traffic
             stream(streets, start)
     return found
 

@@ -58,21 +58,21 @@ def test_a_leader_that_turns_counts_by_its_middle():
         assert found.ttc_s.tolist() == pytest.approx([16.5 / closing_mps] * n)
 
 
+EAST = [(10 * (0.5 * k - 2), 0.0, 0.0, 10) for k in range(12)]
+NORTH = [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]
+
+
 def test_post_encroachment_time_by_hand():
     """One goes east through the origin at t = 2 s, one north at t = 4 s, both at 10 m/s. The common area reaches
     (5 + 2) / 2 = 3.5 m either way: the first leaves at 2.35 s, the second arrives at 3.65 s: 1.3 s."""
-    east = [(10 * (0.5 * k - 2), 0.0, 0.0, 10) for k in range(12)]
-    north = [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]
-    found = conflicts.encroachments(Poses, poses({1: east, 2: north}))
+    found = conflicts.encroachments(Poses, poses({1: EAST, 2: NORTH}))
     np.testing.assert_allclose(found[["first", "second", "time_s", "pet_s"]].to_numpy(), [[1, 2, 3.65, 1.3]], atol=1e-9)
 
 
 def test_two_vehicles_that_cross_twice_count_once():
     """A kilometre further they cross in the other order, at 10 s and 11.8 s: the second is 1.8 - 0.7 = 1.1 s later."""
-    east = [(10 * (0.5 * k - 2), 0.0, 0.0, 10) for k in range(12)]
-    north = [(0.0, 10 * (0.5 * k - 4), np.pi / 2, 10) for k in range(12)]
-    east += [(1000 + 10 * (0.5 * k - 11.8), 0.0, 0.0, 10) for k in range(12, 30)]
-    north += [(1000.0, 10 * (0.5 * k - 10), np.pi / 2, 10) for k in range(12, 30)]
+    east = EAST + [(1000 + 10 * (0.5 * k - 11.8), 0.0, 0.0, 10) for k in range(12, 30)]
+    north = NORTH + [(1000.0, 10 * (0.5 * k - 10), np.pi / 2, 10) for k in range(12, 30)]
     found = conflicts.encroachments(Poses, poses({1: east, 2: north}))
     np.testing.assert_allclose(found[["first", "second", "pet_s"]].to_numpy(), [[2, 1, 1.1]], atol=1e-9)
 

@@ -70,10 +70,15 @@ def turned(quaternion, xyz):
     return xyz + 2 * np.cross(u, np.cross(u, xyz) + w * np.array(xyz))
 
 
+def nuscenes_in(folder):
+    """Records of each table, as a list and by token."""
+    table = {p.stem: json.loads(p.read_text()) for p in (folder / nuscenes.VERSION).iterdir()}
+    return table, {name: {row["token"]: row for row in rows} for name, rows in table.items()}
+
+
 def test_nuscenes_truck_by_hand(of, tmp_path):
     made = truck.written(nuscenes.NuScenes().plan(of), tmp_path)
-    table = {p.stem: json.loads(p.read_text()) for p in (tmp_path / nuscenes.VERSION).iterdir()}
-    by = {name: {row["token"]: row for row in rows} for name, rows in table.items()}
+    table, by = nuscenes_in(tmp_path)
     (scene,) = [s for s in table["scene"] if s["name"] == "scene-000000-0"]
     sample = by["sample"][scene["first_sample_token"]]
     (data,) = [d for d in table["sample_data"] if d["sample_token"] == sample["token"]]
@@ -98,8 +103,7 @@ def test_nuscenes_truck_by_hand(of, tmp_path):
 def test_nuscenes_is_linked(of, tmp_path):
     """Every token leads to a record, and chains lead from the first to the last."""
     truck.written(nuscenes.NuScenes().plan(of), tmp_path)
-    table = {p.stem: json.loads(p.read_text()) for p in (tmp_path / nuscenes.VERSION).iterdir()}
-    by = {name: {row["token"]: row for row in rows} for name, rows in table.items()}
+    table, by = nuscenes_in(tmp_path)
     assert all(len(by[name]) == len(rows) for name, rows in table.items())
     for name, rows in table.items():
         for row in rows:

@@ -21,6 +21,13 @@ def town(tmp_path_factory):
     return catalogue.open_folder(folder / "town")
 
 
+@pytest.fixture(scope="module")
+def own(town):
+    """Vehicles per hour of the town's own demand on its streets, where they are more than 60."""
+    driven = counts.driven(town, counts._edges(town.net_path))
+    return {edge: value for edge, value in driven.items() if value > 60}
+
+
 def test_geh_by_hand():
     """120 beside 100: sqrt(2 * 400 / 220) = 1.907. 400 beside 500: sqrt(2 * 10000 / 900) = 4.714."""
     found = counts.geh(np.array([120.0, 400.0, 0.0]), np.array([100.0, 500.0, 0.0]))
@@ -99,10 +106,9 @@ def test_a_sumocfg_is_no_city_whose_demand_can_be_fitted(town):
         catalogue.open_folder(town.sumocfg_path)
 
 
-def test_demand_follows_counts_and_what_is_not_motorised_stays(town, tmp_path):
+def test_demand_follows_counts_and_what_is_not_motorised_stays(town, own, tmp_path):
     """The counts are a third more than what the town's own demand drives: its vehicles must become more."""
-    own = counts.driven(town, counts._edges(town.net_path))
-    counted = {edge: round(value * 4 / 3) for edge, value in own.items() if value > 60}
+    counted = {edge: round(value * 4 / 3) for edge, value in own.items()}
     drawn = counts.fit(town, counted, tmp_path / "new", seed=1)
     new = catalogue.open_folder(tmp_path / "new")
     assert counts.agreement(drawn, counted).good_share > 0.85
@@ -127,9 +133,8 @@ def test_buses_are_among_the_vehicles_that_were_counted(tmp_path):
 
 
 @pytest.mark.verify
-def test_a_fit_is_repeated_and_a_fitted_city_is_fitted_anew(town, tmp_path):
-    own = counts.driven(town, counts._edges(town.net_path))
-    counted = {edge: round(value * 4 / 3) for edge, value in own.items() if value > 60}
+def test_a_fit_is_repeated_and_a_fitted_city_is_fitted_anew(town, own, tmp_path):
+    counted = {edge: round(value * 4 / 3) for edge, value in own.items()}
     drawn = counts.fit(town, counted, tmp_path / "new", seed=1)
     assert counts.fit(town, counted, tmp_path / "again", seed=1) == drawn
     assert (tmp_path / "again/SHA256SUMS").read_text() == (tmp_path / "new/SHA256SUMS").read_text()
@@ -143,13 +148,12 @@ def test_counts_where_no_vehicle_passes(town, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_added_vehicles_depart_at_any_time(town, tmp_path):
+def test_added_vehicles_depart_at_any_time(town, own, tmp_path):
     """Three times the vehicles: half of them in each half of the time (0.5 with a standard deviation of 0.02 or so).
 
     `routeSampler` gives vehicles that it adds the late ones of its sorted times: 0.39 of all were in the first half.
     """
-    own = counts.driven(town, counts._edges(town.net_path))
-    counts.fit(town, {edge: 3 * value for edge, value in own.items() if value > 60}, tmp_path / "new", seed=1)
+    counts.fit(town, {edge: 3 * value for edge, value in own.items()}, tmp_path / "new", seed=1)
     rows = ET.fromstring(gzip.decompress((tmp_path / "new/demand.rou.xml.gz").read_bytes())).iter("vehicle")
     times_s = [float(row.get("depart")) for row in rows if row.get("type") != "bicycle"]
     assert len(times_s) > 2 * town.vehicles_per_hour

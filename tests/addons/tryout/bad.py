@@ -153,8 +153,8 @@ class OwnGenerator:
     def start(self):
         return None
 
-    def lost(self, n):
-        return self.generator.random(n) < 0.2
+    def lost(self, receiver, message):
+        return self.generator.random(len(receiver)) < 0.2
 
     def broadcast(self, state, kind, step, begin_s, stations, messages):
         return state, _round(stations, messages, self.lost)
@@ -168,7 +168,7 @@ class GeneratorInState(OwnGenerator):
 
     def broadcast(self, state, kind, step, begin_s, stations, messages):
         generator = np.random.default_rng(state)
-        happened = _round(stations, messages, lambda n: generator.random(n) < 0.2)
+        happened = _round(stations, messages, lambda receiver, _: generator.random(len(receiver)) < 0.2)
         return state + 1, happened
 
 
@@ -183,7 +183,7 @@ def _round(stations, messages, lost):
     near = np.linalg.norm(stations.xyz_m[:, None] - stations.xyz_m[messages.station][None], axis=2) <= 300.0
     near[messages.station, np.arange(len(messages))] = False
     receiver, message = np.nonzero(near & (messages.length_bytes > 0))
-    got = ~lost(len(receiver))
+    got = ~lost(receiver, message)
     return MessageRound.of(stations, messages, receiver[got], message[got], latency_s=0.001)
 
 
@@ -259,9 +259,8 @@ class KeyedMedium:
         return None
 
     def broadcast(self, state, kind, step, begin_s, stations, messages):
-        near = np.linalg.norm(stations.xyz_m[:, None] - stations.xyz_m[messages.station][None], axis=2) <= 300.0
-        near[messages.station, np.arange(len(messages))] = False
-        receiver, message = np.nonzero(near & (messages.length_bytes > 0))
-        names = stations.key[receiver], messages.keys(stations)[message], np.full(len(message), kind)
-        got = draws(self.seed, step, names)[:, 0] > 0.2
-        return state, MessageRound.of(stations, messages, receiver[got], message[got], latency_s=0.001)
+        def lost(receiver, message):
+            names = stations.key[receiver], messages.keys(stations)[message], np.full(len(message), kind)
+            return draws(self.seed, step, names)[:, 0] <= 0.2
+
+        return state, _round(stations, messages, lost)

@@ -68,15 +68,18 @@ def runs(tmp_path_factory):
     return [open_run(drive(folder / name, *common, *sets)) for name, sets in errors.items()]
 
 
+def by_detection(run):
+    """Detections by step, the vehicle that sent them, and index."""
+    boxes = run.detections.assign(observer=run.detections.observer.map(run.subjects.vehicle))
+    return boxes.set_index(["step", "observer", "detection_index"])
+
+
 def test_all_that_a_vehicle_transmits_is_displaced_by_its_error(runs):
     off, on, _ = runs
     assert not len(off.position_errors) and load(off.path / "config.toml").gnss.std_m == 0
     error = on.position_errors.rename(columns={"vehicle": "observer"})
     assert error.error_x_m.std() == pytest.approx(3.0, rel=0.3)
-    tables = []
-    for run in (off, on):
-        boxes = run.detections.assign(observer=run.detections.observer.map(run.subjects.vehicle))
-        tables.append(boxes.set_index(["step", "observer", "detection_index"]))
+    tables = [by_detection(run) for run in (off, on)]
     there = tables[1].join(error.set_index(["step", "observer"]), on=["step", "observer"])
     assert there.index.equals(tables[0].index) and (there.origin == "self").any()
     for axis in "xy":
@@ -106,10 +109,7 @@ def test_an_error_of_the_heading_turns_all_that_a_vehicle_transmits_around_it(ru
     assert not runs[1].position_errors.error_yaw_rad.any()
     error = on.position_errors.rename(columns={"vehicle": "observer"}).set_index(["step", "observer"])
     assert np.rad2deg(error.error_yaw_rad.std()) == pytest.approx(3.0, rel=0.3)
-    tables = []
-    for run in (off, on):
-        boxes = run.detections.assign(observer=run.detections.observer.map(run.subjects.vehicle))
-        tables.append(boxes.set_index(["step", "observer", "detection_index"]))
+    tables = [by_detection(run) for run in (off, on)]
     actors = off.actors.rename(columns={"actor": "observer"}).set_index(["step", "observer"])[["x_m", "y_m"]]
     there = tables[1].join(error, on=["step", "observer"]).join(actors.add_suffix("_true"), on=["step", "observer"])
     assert there.index.equals(tables[0].index)
