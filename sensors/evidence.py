@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -34,6 +34,9 @@ class AreaParams:
     own_radius_m: Annotated[float, Ge(0), Le(100)] = 1.5
     """A car this near to the observer's own box counts even outside the field of view: it is a report about the
     observer [m]."""
+    gaps: Literal["free", "unknown"] = "free"
+    """What a place is that no ray passes, between two beams or below the lowest one. `free`: free space, as in the
+    paper's code. `unknown`: the sweep says nothing of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,12 +157,19 @@ def plausible(
     return lies in the pyramid, or if at most 10 % of its returns are nearer than the box. It is true where the test
     does not apply (outside the area or field of view, or box centre above the sensor).   Deviations: we follow the code
     where the paper gives no rule (early exits, bottom centre as distance, margin, empty pyramid). The sensor takes the
-    place of the camera, and the field of view is the sensor's.
+    place of the camera, and the field of view is the sensor's. `gaps = "unknown"` is ours.
     """
     pairs = _moving_pairs(sweeps, o, boxes, b, velocity_mps)
     limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)
     return evidence_kernels.free_space(
-        sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(), limits, params.margin_m, params.min_share
+        sweeps.range_steps,
+        sweeps.step_m,
+        sweeps.beams,
+        pairs,
+        pairs.runs(),
+        limits,
+        params.margin_m,
+        (params.min_share, area.gaps == "unknown"),
     )
 
 

@@ -156,15 +156,16 @@ def _is_behind(x, y, z, normal):
     return x * normal[0] + y * normal[1] + z * normal[2] < 0.0
 
 
-def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_share):
+def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, rule):
     """Whether the sweep of each pair allows that an object stands in its box: true where the test does not apply.
 
     `run` is `Pairs.runs`; its runs are divided among threads. `area` is the reach and the height of the evaluation
-    area, and the slope of its edges. An object can stand there if more than the share `least_share` of the returns in
-    the pyramid through its box are nearer than the box.
+    area, and the slope of its edges. `rule` is a share, and whether gaps between rays permit a box. An object can stand
+    there if more than this share of the returns in the pyramid through its box are nearer than the box; if gaps permit
+    it, also where no ray passes that pyramid.
     """
     allowed = np.ones(len(pairs.o), np.bool_)
-    given = range_steps, step_m, beams, pairs, run, area, margin_m, least_share
+    given = range_steps, step_m, beams, pairs, run, area, margin_m, rule
 
     def test(begin: int, end: int) -> None:
         _free_space(allowed, begin, end, given)
@@ -176,19 +177,20 @@ def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, least_sha
 @compiled
 def _free_space(allowed, begin, end, given):
     """Write what `free_space` returns, for the pairs of the runs `begin` to `end`."""
-    range_steps, step_m, beams, pairs, run, area, margin_m, least_share = given
+    range_steps, step_m, beams, pairs, run, area, margin_m, rule = given
     room = np.empty((4, 3)), np.empty((4, 3))
     view = beams, columns_of(beams), slopes_of(beams)
     for i in range(begin, end):
         first, end_of_run = run[i], run[i + 1]
         sweep = range_steps[pairs.o[first]]
-        _free_space_of(allowed, sweep, step_m, view, pairs, first, end_of_run, area, margin_m, least_share, room)
+        _free_space_of(allowed, sweep, step_m, view, pairs, first, end_of_run, area, margin_m, rule, room)
 
 
 @kernel
-def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin_m, least_share, room):
+def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin_m, rule, room):
     """Write what `free_space` returns, for the pairs `first` to `end` of one sweep."""
     reach_m, height_m, slope = area
+    least_share, gaps_permit = rule
     corner, plane = room
     beams, columns, slopes = view
     for k in range(first, end):
@@ -201,6 +203,23 @@ def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin
                 allowed[k] = _are_nearer(sweep, step_m, beams, window, plane, limit, least_share)
             else:
                 allowed[k] = False
+            if gaps_permit and not allowed[k]:
+                allowed[k] = not _has_ray(beams, window, plane)
+
+
+@kernel
+def _has_ray(beams, window, plane):
+    """Whether a sensor sends any ray through a pyramid, which lies in a window."""
+    (a0, a1, b0, b1), (r0, r1) = window
+    for turn in range(2):
+        first, end = (a0, a1) if turn == 0 else (b0, b1)
+        for c in range(first, end):
+            for r in range(r0, r1):
+                x = beams.cos_el[r] * beams.cos_az[c]
+                y = beams.cos_el[r] * beams.sin_az[c]
+                if in_frustum(x, y, beams.sin_el[r], plane):
+                    return True
+    return False
 
 
 @kernel

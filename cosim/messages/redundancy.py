@@ -203,7 +203,8 @@ def _known(heard: Heard, mine: Candidates, time_s: float, window_s: float, of_se
     candidate, found, apart_m = near["i"], there[near["j"]], near["v"]
     message = reports.message[found]
     n = len(reports.time_s)
-    reception, is_received = rows_of(mine.receiver[candidate] * n + message, heard.receiver * n + heard.message)
+    asked = mine.receiver[candidate] * n + message
+    reception, is_received = rows_of(asked, heard.receiver * n + heard.message)
     received_s = heard.received_s[reception]
     fresh = np.flatnonzero(is_received & (received_s >= time_s - window_s - _SLACK_S))
     candidate, message = candidate[fresh], message[fresh]

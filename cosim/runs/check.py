@@ -36,6 +36,13 @@ from sumo_nets.streetside import read_trees
 _SUNK_M = 1.0
 """An object farther from the height of the street beside it is not on the ground [m]."""
 
+_LOWEST_RAD = -0.05
+"""Whoever is 20 m away or more is not farther below the sensor than this."""
+_TESTED_M = 0.25
+"""Height of the part of a pedestrian that the test of free space looks at, half their width."""
+_NEAREST_GAP_M = 30.0
+"""If this part is lower than a gap between two beams at this distance, there is a note."""
+
 
 def check(config: Config) -> Scenario:
     """Check a config and find its scenario.
@@ -182,7 +189,8 @@ def notes_on(config: Config, scenario: Scenario) -> list[str]:
         if config.trees.per_100_m and not len(city.trees.shape):
             notes.append("note: [trees] places no tree: no place along the streets is free.")
     notes += _late_objects(config) + _buried_objects(config, scenario) + _indoors(config, scenario)
-    notes += _few_clouds(config) + _short_window(config) + _no_links(config) + _one_evaluator(config)
+    notes += _sparse_beams(config) + _few_clouds(config) + _short_window(config)
+    notes += _no_links(config) + _one_evaluator(config)
     return notes + _out_of_reach(config)
 
 
@@ -212,6 +220,22 @@ def _buried_objects(config: Config, scenario: Scenario) -> list[str]:
                 f"there. Set objects.{i}.ground_m = {height_m:.1f}."
             )
     return notes
+
+
+def _sparse_beams(config: Config) -> list[str]:
+    """A note where people stand between two beams, and vehicles take such places for free."""
+    if not config.sensing or config.area.gaps == "unknown":
+        return []
+    beam_rad = lidar.beams(config.lidar).elevation_rad
+    is_ahead = (beam_rad[1:] > _LOWEST_RAD) & (beam_rad[:-1] < 0.0)
+    apart_rad = np.diff(beam_rad)[is_ahead].max(initial=0.0)
+    if apart_rad <= _TESTED_M / _NEAREST_GAP_M:
+        return []
+    return [
+        f"note: beams of the LiDAR are {math.degrees(apart_rad):.2g} degrees apart. People more than "
+        f"{_TESTED_M / apart_rad:.0f} m away can stand between two of them, and vehicles that do not see them take the "
+        'place for free. Set area.gaps = "unknown".'
+    ]
 
 
 def _indoors(config: Config, scenario: Scenario) -> list[str]:

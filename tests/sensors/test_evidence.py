@@ -173,7 +173,7 @@ def test_windows_equal_whole_clouds(seed, params):
         for share in (0.0, 0.1, 0.5, 0.9):
             allowed = evidence_kernels.free_space(
                 sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
-                (area.range_m, area.height_m, edge_slope(fov_rad)), 0.25, share,
+                (area.range_m, area.height_m, edge_slope(fov_rad)), 0.25, (share, False),
             )  # fmt: skip
             assert (allowed == ~free | (closer > share * seen)).all()
         assert (plausible(sweeps, at, asked)[free] == (closer > 0.1 * seen)[free]).all()
@@ -187,6 +187,31 @@ def test_free_space_by_hand():
     o = np.zeros(3, int)
     assert plausible(exact(car(0, 0), [0], [0], scene), o, ghosts).tolist() == [False, True, True]
     assert not plausible(blind(), np.array([0]), car(15, 0, z=-0.98))[0]
+
+
+def test_between_two_beams_a_sweep_says_nothing():
+    """A VLP-16 without any return has beams at -1 and -3 degrees. Middles of people of 1.75 m are at -1.22 degrees at
+    40 m and at -1.00 at 49 m. The pyramid is 0.36 degrees high at 40 m: no beam passes it. At 5 m, -9.7 degrees, it is
+    2.9 degrees high. At 2 m the middle is at -23 degrees, below the lowest beam."""
+    grid = beams(LidarParams(profile="vlp16"))
+    empty = np.full((1, len(grid.azimuth_rad), len(grid.elevation_rad)), NO_RETURN, np.uint16)
+    sweep = RangeImages(Poses(np.zeros((1, 3)), np.zeros(1)), np.arange(1), np.zeros(1), grid, 80.0, empty, FINEST_M)
+    at = np.column_stack([[40.0, 49.0, 5.0, 2.0], np.zeros(4), np.full(4, 0.875 - 1.73)])
+    o, people, gaps = np.zeros(4, int), boxes_at(at, (0.5, 0.5, 1.75)), AreaParams(gaps="unknown")
+    assert plausible(sweep, o, people, area=gaps).tolist() == [True, False, False, True]
+    assert not plausible(sweep, o, people).any()  # as in the paper's code
+
+    rng = np.random.default_rng(3)
+    at = rng.uniform(-45.0, 45.0, (2000, 3)) * [1.0, 1.0, 0.05]
+    boxes = Boxes(at, rng.uniform(0.3, 3.0, (2000, 3)), rng.uniform(-np.pi, np.pi, 2000))
+    asked = boxes.take(np.flatnonzero(applies_to(boxes, 2 * np.pi)))
+    planes, distance = whole_cloud.frusta(asked.xyz_m, asked.lwh_m)
+    across = grid.azimuth_rad[:, None] + 0 * grid.elevation_rad
+    up = grid.elevation_rad + 0 * across
+    rays = np.stack([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)], axis=2).reshape(-1, 3)
+    met, _ = whole_cloud.free_space_xyz(rays, planes, distance, 0.0)
+    found = plausible(sweep, np.zeros(len(asked), int), asked, area=gaps)
+    assert (found == (met == 0)).all() and 100 < found.sum() < len(asked) - 100
 
 
 def test_observability_by_hand():

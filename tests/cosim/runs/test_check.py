@@ -89,6 +89,20 @@ def test_what_stands_in_a_building_is_noted(tmp_path):
     assert [note.split(" is ")[0] for note in noted] == ["note: objects.0", "note: roadside/100.00/60.00"]
 
 
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        (("lidar.profile=vlp16",), "2 degrees apart. People more than 7 m"),  # 0.25 / 7.16 = tan 2 degrees
+        (("lidar.profile=hdl64e",), ""),  # 0.33 to 0.5 degrees
+        ((), ""),
+        (("lidar.profile=vlp16", "area.gaps=unknown"), ""),
+        (("lidar.profile=vlp16", "sensing=false"), ""),
+    ],
+)
+def test_a_sparse_lidar_is_noted(sets, said):
+    assert_noted(sets, "note: beams of the LiDAR are", said)
+
+
 GHOSTS = "attacks.0.attack=ghost_insertion"
 
 
