@@ -293,8 +293,24 @@ def is_study(path: Path) -> bool:
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """The run folders of a study; the folder itself if it is no study."""
-    return sorted(folder.glob("runs/*/")) if is_study(folder) else [folder]
+    """The run folders of a study; the folder itself if it is no study. A run killed before its manifest is none."""
+    if not is_study(folder):
+        return [folder]
+    return sorted(path.parent for path in folder.glob("runs/*/manifest.json"))
+
+
+def missing_in(folder: Path) -> list[str]:
+    """What is missing of the finished points of a study, one line each."""
+    try:
+        points = open_study(folder).points
+    except ValueError as error:
+        return [str(error)]
+    found = []
+    for run in points["run"][points.state == "finished"].unique():
+        for name in (f"runs/{run}/manifest.json", f"jobs/{run}/measures.parquet"):
+            if not (folder / name).is_file():
+                found.append(f"{name} is missing")
+    return found
 
 
 def within_run(frame: pd.DataFrame) -> pd.DataFrame:

@@ -16,6 +16,8 @@ from results.run import ENDED
 from results.tables import SCHEMA_VERSION, TABLES, kept
 
 _OWN = ("manifest.json", "config.toml", inventory.FILE, "report.html", "run.log")
+UNREADABLE = {"status": "damaged", "steps": 0, "tables": 0, "parts": 0, "rows": 0, "bytes": 0}
+"""What is said of a folder whose content is not known."""
 
 
 def verify(folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -32,7 +34,7 @@ def verify(folder: Path) -> tuple[dict[str, Any], list[str]]:
         is_live = is_live and manifest["status"] != "finished"
         found = inventory.read(folder).closed() if is_live else inventory.read(folder)
     except Damaged as damage:
-        return {"status": "damaged", "steps": 0, "tables": 0, "parts": 0, "rows": 0, "bytes": 0}, [str(damage)]
+        return dict(UNREADABLE), [str(damage)]
     wrong = list(_problems(folder, manifest, found, is_live))
     parts = found.parts
     summary = {

@@ -214,10 +214,14 @@ def resume(
 @app.command()
 def verify(runs: RunPaths, as_json: AsJson = False) -> None:
     """Check runs or studies for missing, changed or unexpected files. Exit status 1 if there are any."""
-    from results.study import runs_of
+    from results.study import is_study, missing_in, runs_of
+    from results.verify import UNREADABLE
     from results.verify import verify as verified
 
     found = {str(folder): verified(folder) for named in runs for folder in runs_of(named)}
+    for study in filter(is_study, runs):
+        if missing := missing_in(study):
+            found[str(study)] = UNREADABLE, missing
     if as_json:
         as_plain = {name: about | {"problems": problems} for name, (about, problems) in found.items()}
         print_json(as_plain)

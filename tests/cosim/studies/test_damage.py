@@ -12,7 +12,7 @@ from cosim.base.durable import PARTIAL, Damaged
 from cosim.cli.studies import measure
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.sweep import status
-from results.study import open_study
+from results.study import missing_in, open_study, runs_of
 
 HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}
 POINT = {"point": "a", "run": "a", "variant": "base", "replicate": 0, "state": "finished", "trust.host": "local"}
@@ -96,3 +96,15 @@ def test_a_study_in_which_nothing_can_be_written(tmp_path, capsys):
 def test_measures(tmp_path, row):
     with pytest.raises(Damaged, match=r"measures.parquet is damaged \([^\n]*\). Sweep the study in another --out.$"):
         _ = study(tmp_path / "s", row=row).measures
+
+
+def test_what_is_missing_of_finished_points(tmp_path):
+    """A study of which a copy lacked a run was called whole, and a folder without a manifest ended `cosim verify`."""
+    folder = study(tmp_path).path
+    run = folder / "runs" / "a"
+    run.mkdir(parents=True)
+    assert runs_of(folder) == [] and missing_in(folder) == ["runs/a/manifest.json is missing"]
+    (run / "manifest.json").touch()
+    assert runs_of(folder) == [run] and missing_in(folder) == []
+    (folder / "jobs" / "a" / "measures.parquet").unlink()
+    assert missing_in(folder) == ["jobs/a/measures.parquet is missing"]
