@@ -559,12 +559,19 @@ def _carry_out(command: Callable[..., int | None]) -> int | None:
 
 
 def _place_for_kernels() -> Scratch | None:
-    """A temporary folder for compiled kernels if neither the installation nor the user's cache is writable."""
+    """A temporary folder for compiled kernels if neither the installation nor the user's cache is writable.
+
+    A user of a container may have no home: then the folder takes its place.
+    """
+    folder = None
+    if os.path.expanduser("~") == "~":
+        folder = Scratch()
+        os.environ["HOME"] = str(folder.path)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "numba"
     usual = Path(__file__).parents[1] / "__pycache__", cache
     if "NUMBA_CACHE_DIR" in os.environ or any(map(can_hold_files, usual)):
-        return None
-    folder = Scratch()
+        return folder
+    folder = folder or Scratch()
     os.environ["NUMBA_CACHE_DIR"] = str(folder.path)
     return folder
 

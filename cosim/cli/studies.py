@@ -241,7 +241,7 @@ def measure(
         screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
-        screen.print(f"{said} Next: cosim report {folder}", soft_wrap=True)
+        screen.print(f"{said} Next: cosim report {shlex.quote(str(folder))}", soft_wrap=True)
 
 
 def _rows(study, table, metrics: list[str], held: dict[str, str]):
@@ -316,7 +316,8 @@ def _print_first(folder: Path) -> None:
         screen.print(f"without a value here: {', '.join(missing)}", soft_wrap=True)
     for line in [*together(study), *cautions(study, study.summary, asked, held)]:
         screen.print(line, soft_wrap=True)
-    screen.print(f"next: cosim report {folder}   cosim measure {folder}", soft_wrap=True)
+    given = shlex.quote(str(folder))
+    screen.print(f"next: cosim report {given}   cosim measure {given}", soft_wrap=True)
 
 
 def _held(where: list[str]) -> dict[str, str]:

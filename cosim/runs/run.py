@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import shlex
 import shutil
 from collections.abc import Collection
 from contextlib import closing, suppress
@@ -328,6 +329,7 @@ def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
 def _carry_out(drive: Drive, folder: RunFolder) -> None:
     """Carry out a run, and write its status into the manifest in every case."""
     manifest, recorder = drive.manifest, drive.recorder
+    again = f"cosim resume {shlex.quote(str(folder.path))}"
     try:
         drive.run()
     except Stopped as error:
@@ -336,7 +338,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
             raise
         manifest.write("interrupted", recorder.inventory)
         folder.release()
-        message = f"interrupted before anything was added. Continue with: cosim resume {folder.path}"
+        message = f"interrupted before anything was added. Continue with: {again}"
         raise Stopped(error.signum, message) from None
     except Failed:
         raise
@@ -346,17 +348,15 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
     except TrafficError as error:
         if not _fail(drive, folder, str(error)):
             raise
-        raise TrafficError(f"{error} The steps before it are kept: cosim resume {folder.path}.") from error.__cause__
+        raise TrafficError(f"{error} The steps before it are kept: {again}.") from error.__cause__
     except ExtensionError as error:
         kept = _fail(drive, folder, str(error))
-        then = f" The steps before it are kept: cosim resume {folder.path}." if kept else " Nothing is kept."
+        then = f" The steps before it are kept: {again}." if kept else " Nothing is kept."
         raise ExtensionError(str(error) + then) from error.__cause__
     except OSError as error:
         message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"
         kept = _fail(drive, folder, message)
-        raise Failed(
-            message + (f". Continue with: cosim resume {folder.path}" if kept else ". Nothing is kept.")
-        ) from None
+        raise Failed(message + (f". Continue with: {again}" if kept else ". Nothing is kept.")) from None
     except MemoryError:
         message = f"{folder.path}: out of memory at step {manifest.steps}"
         _fail(drive, folder, message)
@@ -375,7 +375,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise Stopped(
             drive.stop.signum,
             f"interrupted after {manifest.steps} of {drive.parts.config.n_steps} steps, all written. "
-            f"Continue with: cosim resume {folder.path}",
+            f"Continue with: {again}",
         )
     manifest.write("finished", recorder.inventory)
     shutil.rmtree(folder.path / CHECKPOINT, ignore_errors=True)
