@@ -48,6 +48,8 @@ class Task:
     """Finished runs that other code has made, where further runs are to join them."""
     levels: Sequence[str] = ()
     """Other levels of `record.level` than the study's at which finished runs were recorded."""
+    n_aside: int = 0
+    """Finished runs of points that the study does not have any more."""
 
 
 Failed = list[tuple[str, Attempt]]
@@ -89,6 +91,7 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool) -> Task:
         run = run_of.get(point.id)
         if run is not None and folder.is_finished(run):
             finished[point.id] = run
+    aside = set(run_of.values()) - set(finished.values())
     outdated = _outdated(study, folder, set(finished.values()))
     kept = {point: run for point, run in finished.items() if run not in outdated}
     missing = [point for point in points if point.id not in kept]
@@ -106,6 +109,7 @@ def prepare_study(study: Study, where: str, out: Path, merge: bool) -> Task:
         outdated=outdated,
         n_of_other_code=_n_of_other_code(folder, set(kept.values())) if missing else 0,
         levels=_other_levels(folder, points, finished),
+        n_aside=sum(map(folder.is_finished, aside)),
     )
 
 
@@ -168,6 +172,11 @@ def measuring_notes(task: Task) -> list[str]:
         found.append(
             f'note: finished runs were recorded with record.level = "{task.levels[0]}", and the study asks for another '
             "level. They stay as they are, with the tables of that level. Sweep the study in another --out."
+        )
+    if task.n_aside:
+        found.append(
+            f"note: {task.n_aside} finished runs are of no point of the study any more: the study, a file that it "
+            "reads, or cosim has changed. They stay in its folder and count for nothing."
         )
     return found
 

@@ -96,6 +96,9 @@ def test_runs_of_other_code_are_noted_where_further_ones_join_them(folder, monke
     study.write_text(STUDY.replace("sensing = false", 'sensing = false\nrecord.level = "full"'))
     (note,) = sweeping.measuring_notes(sweeping.prepare(study, out))
     assert note.startswith('note: finished runs were recorded with record.level = "')
+    study.write_text(STUDY.replace("[0.4, 0.6]", "[0.6, 0.8]"))
+    (note,) = sweeping.measuring_notes(sweeping.prepare(study, out))
+    assert note.startswith("note: 1 finished runs are of no point of the study any more:")
 
 
 @pytest.mark.verify
