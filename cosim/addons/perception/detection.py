@@ -88,7 +88,8 @@ def precision(
                 for level, one in answer.items()
             ]
     if not answers:
-        raise run.lacks("detections to rank", "no honest vehicle ever had an actor ahead of it.")
+        where = f"{nearest_m:g} to {range_m:g} m ahead of it"
+        raise run.lacks("detections to rank", f"no honest vehicle ever had an actor {where}.")
     return pd.DataFrame(answers)
 
 
