@@ -22,7 +22,8 @@ class Detector(Protocol):
     """A 3D object detector, the same for every observer.
 
     The class is constructed with an instance of its attribute `Params`, a frozen dataclass. A class without this
-    attribute is constructed without arguments.
+    attribute is constructed without arguments. A detector that knows its recall, or how accurate its boxes are, has
+    further methods: those of `sensors.statistical_detector.StatisticalDetector`.
     """
 
     def detect(
@@ -74,50 +75,6 @@ class KnowsRecall(Protocol):
         range_m
             Distance from the sensor to the centre of the box [m].
         """
-
-
-class KnowsAccuracy(Protocol):
-    """A detector that knows how accurate its boxes are. Vehicles state it in their messages."""
-
-    def position_sigma_m(
-        self,
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-        range_m: Float[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """Standard deviation of the position of a detection along each axis [m]; arguments as `KnowsRecall.recall`."""
-
-
-class KnowsShapeAccuracy(Protocol):
-    """A detector that knows how accurate headings and sizes of its boxes are. Arguments are as `KnowsRecall.recall`."""
-
-    def heading_sigma_rad(
-        self,
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-        range_m: Float[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """Standard deviation of the heading modulo pi [rad]: a reversed heading is no error of it."""
-
-    def size_sigma(
-        self,
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-        range_m: Float[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """Relative standard deviation of length, width and height, each."""
-
-
-class KnowsErrorByScore(Protocol):
-    """A detector whose scores say how accurate its boxes are."""
-
-    def error_by_score(
-        self,
-        score: Float[ndarray, "n"],
-        n_points: Int[ndarray, "n"],
-        label: UInt8[ndarray, "n"],
-    ) -> Float[ndarray, "n"]:
-        """Mean squared error of the position of detections with this score, in units of that at any score."""
 
 
 DETECTORS: dict[str, Callable[[Any], Detector]] = {

@@ -203,10 +203,6 @@ class Scene:
     buildings: Buildings
     footprints: ndarray
     """Shapely polygon of each building, valid, outer ring counter-clockwise."""
-    n_repaired: int = 0
-    """Footprints that crossed themselves and were made valid."""
-    n_dropped: int = 0
-    """Footprints without area, which are left out."""
     triangles_m: Float[ndarray, "t 3 3"] | None = None
     """Other solids, as closed meshes. Embree and Open3D cast them, the columnar engine refuses them."""
     bodies_m: Mapping[int, Float[ndarray, "t 3 3"]] = field(default_factory=dict)
@@ -238,8 +234,7 @@ class Scene:
 
         Notes
         -----
-        Footprints that cross themselves are split into valid parts (`n_repaired`). Footprints without area are left
-        out (`n_dropped`).
+        Footprints that cross themselves are split into valid parts. Footprints without area are left out.
 
         Raises
         ------
@@ -274,9 +269,7 @@ class Scene:
         solid = is_polygon & (shapely.area(parts) > SMALLEST_M2)
         parts, owner = parts[solid], owner[solid]
         parts = shapely.orient_polygons(parts)
-        n_dropped = len(raw) - len(np.unique(owner))
-        n_repaired = len(np.unique(owner[broken[owner]]))
-        return Scene(_walls(parts, base[owner], top[owner]), parts, n_repaired, n_dropped)
+        return Scene(_walls(parts, base[owner], top[owner]), parts)
 
     def with_mesh(self, vertices_m: Float[ndarray, "v 3"], faces: Int[ndarray, "t 3"]) -> Scene:
         """This scene with one more solid, such as a tree or a bridge. Its returns have the code of buildings.

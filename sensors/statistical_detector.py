@@ -224,7 +224,7 @@ class StatisticalDetector:
         label: UInt8[ndarray, "n"],
         range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsAccuracy`."""
+        """Standard deviation of the position of a detection along each axis [m]; arguments as `KnowsRecall.recall`."""
         sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
         by_returns = self.model.xy_sigma_m[label] + self.model.xy_sigma_sparse_m[label] * sparse
         return by_returns + self.model.xy_sigma_per_m * range_m
@@ -235,7 +235,7 @@ class StatisticalDetector:
         label: UInt8[ndarray, "n"],
         range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsShapeAccuracy`."""
+        """Standard deviation of the heading modulo pi [rad]: a reversed heading is no error of it."""
         sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
         return self.model.yaw_sigma_rad[label] + self.model.yaw_sigma_sparse_rad * sparse
 
@@ -245,7 +245,7 @@ class StatisticalDetector:
         label: UInt8[ndarray, "n"],
         range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsShapeAccuracy`."""
+        """Relative standard deviation of length, width and height, each."""
         sparse = 1.0 / np.sqrt(np.maximum(n_points, 1))
         return self.model.size_sigma[label] + self.model.size_sigma_sparse[label] * sparse
 
@@ -255,7 +255,7 @@ class StatisticalDetector:
         n_points: Int[ndarray, "n"],
         label: UInt8[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsErrorByScore`.
+        """Mean squared error of the position of detections with this score, in units of that at any score.
 
         Notes
         -----
@@ -315,7 +315,7 @@ class IdealDetector:
         label: UInt8[ndarray, "n"],
         range_m: Float[ndarray, "n"],
     ) -> Float[ndarray, "n"]:
-        """See `sensors.detector.KnowsAccuracy` and `KnowsShapeAccuracy`: detections are exact."""
+        """As that of `StatisticalDetector`: detections are exact."""
         return np.zeros(len(n_points))
 
     heading_sigma_rad = size_sigma = position_sigma_m

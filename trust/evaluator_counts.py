@@ -70,8 +70,3 @@ class EvaluatorTable:
         Number for each row of the evidence store; 0 for a row without evaluators.
         """
         return np.bincount(unpaired(self.keys[self.newest > after])[0], minlength=n_rows)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory [B]."""
-        return self.keys.nbytes + self.newest.nbytes

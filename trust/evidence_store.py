@@ -172,9 +172,3 @@ class EvidenceStore:
         """Count one use more (`change` = 1) or less (-1) of each row."""
         self._n_uses = with_rows(self._n_uses, len(self.pairs))
         self._n_uses[rows] += change
-
-    @property
-    def nbytes(self) -> int:
-        """Memory [B]."""
-        own = self.pairs.nbytes + self._n_uses.nbytes + self.evaluators.nbytes
-        return own + sum(evidence.nbytes for evidence in self.steps.values())

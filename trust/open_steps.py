@@ -189,12 +189,6 @@ class OpenStep:
             n_rejected=n_rejected,
         )
 
-    @property
-    def nbytes(self) -> int:
-        """Memory [B]."""
-        columns = self.pseudonyms, self.first, self.score, self._received
-        return sum(column.nbytes for column in columns)
-
     def _new_receptions(
         self, received: ReceivedEvaluations, evaluator: Int[ndarray, "v"], is_known: Bool[ndarray, "v"]
     ) -> Int[ndarray, "k"]:

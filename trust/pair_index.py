@@ -85,11 +85,6 @@ class PairIndex:
         self._free = np.concatenate([self._free, self._rows[~kept]])
         self._keys, self._rows = self._keys[kept], self._rows[kept]
 
-    @property
-    def nbytes(self) -> int:
-        """Memory [B]."""
-        return self._keys.nbytes + self._rows.nbytes + self._free.nbytes
-
 
 def with_rows(column: ndarray, n: int) -> ndarray:
     """A column with room for at least n rows; it grows by doubling.

@@ -22,15 +22,12 @@ SigmaOf = Callable[[ndarray, ndarray, ndarray], ndarray]
 
 
 class DetectorAccuracy(NamedTuple):
-    """What a detector knows of its own accuracy; None where it does not know it."""
+    """What a detector knows of its own accuracy, by methods as of `StatisticalDetector`; None where it has none."""
 
     position_sigma_m: SigmaOf | None = None
-    """As `sensors.detector.KnowsAccuracy`."""
     heading_sigma_rad: SigmaOf | None = None
-    """As `sensors.detector.KnowsShapeAccuracy`, and so is the size."""
     size_sigma: SigmaOf | None = None
     error_by_score: SigmaOf | None = None
-    """As `sensors.detector.KnowsErrorByScore`."""
 
     @staticmethod
     def of(detector: Any) -> "DetectorAccuracy":

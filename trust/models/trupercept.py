@@ -189,13 +189,6 @@ class TruPercept:
         self.store.settle()
         return self.n_rejected
 
-    @property
-    def nbytes(self) -> int:
-        """Memory, the shared store included [B]."""
-        folded = self._folded or _Sums(0)
-        columns = folded.total, folded.count, folded.span
-        return self.store.nbytes + sum(column.nbytes for column in columns)
-
     def _fold(self, folded: _Sums) -> None:
         """Add the steps that are no longer open to the running sums, in the order of time."""
         for step in sorted(self.store.steps):
