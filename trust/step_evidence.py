@@ -12,7 +12,6 @@ Arrays that end in `ptr` are those of compressed rows: row i has the items ptr[i
 kernels, evaluators and subjects are rows of the pseudonyms of the step.
 """
 
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -207,13 +206,6 @@ class StepEvidence:
         n_evaluations = per_pair(n_seeing * is_counted).astype(np.int64)
         self._of_pairs[counting] = sums, n_evaluations
         return sums, n_evaluations
-
-    @property
-    def nbytes(self) -> int:
-        """Memory [B]."""
-        arrays = self.pairs, self.row, self.block, self.sums, self.n_evaluations
-        computed = chain.from_iterable(self._of_pairs.values())
-        return self.sent.nbytes + sum(a.nbytes for a in chain(arrays, computed))
 
     def _make_room(self, keys: Int[ndarray, "k"]) -> None:
         """Make blocks for pairs that have none. The other pairs keep their sums."""

@@ -136,13 +136,13 @@ def test_memory_follows_the_window_not_the_run():
     """Pseudonyms grow with time; none is present for more than ten steps."""
     model = TruPercept(TrustParams(freshness_s=20.0), 1.0)
     sizes = []
-    for step in range(1000, 1400):  # numbers of two bytes each
+    for step in range(400):
         ids = range(3 * step, 3 * step + 30)
         open_step(model, step, {v: [0.5, 0.5] for v in ids})
         add(model, step, [(v, u, k, 1, 1) for v in ids for u in ids[:5] for k in (0, 1)])
         model.scores()
         sizes.append(len(pickle.dumps(model)))
-    assert max(sizes[200:]) <= max(sizes[25:50])
+    assert max(sizes[200:]) <= max(sizes[25:50]) + 64  # a number above 255 has one byte more
     assert len(model.store.steps) == 20
 
 
