@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int, Int32, UInt8
 from numpy import ndarray
 
+from cosim.base.bounds import NotNegative100, Positive100, Positive1000, Share
 from cosim.base.codes import ObjectClass
 from cosim.base.rows import Rows
 from sensors import box_points, evidence_kernels, range_image
@@ -24,14 +25,14 @@ from sensors.scene import Prisms, prisms
 class AreaParams:
     """The area in which an observer evaluates boxes."""
 
-    range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
+    range_m: Positive1000 = 70.0
     """Largest distance of the box's bottom centre from the sensor [m]; vehicles evaluate nothing beyond
     lidar.max_range_m."""
-    slack_m: Annotated[float, Ge(0), Le(100)] = 2.0
+    slack_m: NotNegative100 = 2.0
     """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
-    height_m: Annotated[float, Gt(0), Le(100)] = 3.0
+    height_m: Positive100 = 3.0
     """Largest height of the bottom above or below the sensor [m]."""
-    own_radius_m: Annotated[float, Ge(0), Le(100)] = 1.5
+    own_radius_m: NotNegative100 = 1.5
     """A car this near to the observer's own box counts even outside the field of view: it is a report about the
     observer [m]."""
     gaps: Literal["free", "unknown"] = "free"
@@ -45,7 +46,7 @@ class PlausibilityParams:
 
     margin_m: Annotated[float, Ge(0)] = 0.25
     """Returns up to this far behind the bottom centre still count as closer [m]."""
-    min_share: Annotated[float, Ge(0), Le(1)] = 0.1
+    min_share: Share = 0.1
     """A box is plausible if its share of closer returns is larger than this."""
 
 

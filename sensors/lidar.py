@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16, UInt64
 from numpy import ndarray
 
+from cosim.base.bounds import Positive1000
 from cosim.base.plane import wrapped
 from sensors.boxes import Boxes
 from sensors.neighbours import Neighbours, neighbours
@@ -96,7 +97,7 @@ class LidarParams:
     fov_deg: Annotated[float, Gt(0), Le(360)] | None = None
     """Horizontal field of view, centred straight ahead, at most 360 [deg]; none means that of the
     profile."""
-    max_range_m: Annotated[float, Gt(0), Le(1000)] = 80.0
+    max_range_m: Positive1000 = 80.0
     """Farthest return [m]."""
     mount_above_roof_m: Annotated[float, Ge(0), Le(20)] = 0.23
     """Height of the sensor over the centre of the roof [m]; 1.73 m above the road on a car of 1.50 m, as in KITTI."""
@@ -104,7 +105,7 @@ class LidarParams:
     """Standard deviation of one range [m]: HDL-64E S2 data sheet, < 2 cm."""
     dropout_p: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Probability that a return is lost."""
-    rotation_hz: Annotated[float, Gt(0), Le(1000)] | Literal["off"] | None = None
+    rotation_hz: Positive1000 | Literal["off"] | None = None
     """Turns per second. During a sweep the sensor turns counter-clockwise and looks straight ahead at the time of the
     sweep; other actors move meanwhile. With "off", or unset, the whole sweep happens at one instant."""
     engine: Literal["columnar", "embree", "open3d"] = "columnar"

@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.bounds import NotNegative100, NotNegative1000, Positive100, Share
 from cosim.base.hash_rng import normals, persistent_normals
 from cosim.base.plane import turned_by, wrapped
 from sensors.boxes import Boxes
@@ -27,17 +28,14 @@ N_DRAWS = 16
 """Per (observer, actor): detected; score; x, y, z; length, width, height; heading; heading flipped; class confused;
 duplicated, and of the duplicate the score, x, y and heading."""
 
-Share = Annotated[float, Ge(0), Le(1)]
 Shares = tuple[Share, Share, Share, Share]
 """One value per class: car, pedestrian, cyclist, truck."""
-_NotNegative = Annotated[float, Ge(0), Le(1000)]
-NotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+NotNegative = tuple[NotNegative1000, NotNegative1000, NotNegative1000, NotNegative1000]
 _Positive = Annotated[float, Gt(0), Le(1_000_000)]
 Positive = tuple[_Positive, _Positive, _Positive, _Positive]
 _LogOdds = Annotated[float, Ge(-100), Le(100)]
 LogOdds = tuple[_LogOdds, _LogOdds, _LogOdds, _LogOdds]
-_Length = Annotated[float, Gt(0), Le(100)]
-Size = tuple[_Length, _Length, _Length]
+Size = tuple[Positive100, Positive100, Positive100]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,27 +53,27 @@ class DetectorParams:
     """Probability to detect an unoccluded object with very many returns."""
     half_returns: Positive | None = None
     """Returns at which half of `found_max_p` is reached."""
-    steepness: Annotated[float, Gt(0), Le(100)] | None = None
+    steepness: Positive100 | None = None
     """Slope of that curve over the logarithm of the returns."""
     occlusion_loss: Shares | None = None
     """Share of that probability that is lost at full occlusion, in addition to the effect of the lost returns."""
     score_logit: LogOdds | None = None
     """Mean log-odds of the score at `half_returns`."""
-    score_gain: Annotated[float, Ge(0), Le(100)] | None = None
+    score_gain: NotNegative100 | None = None
     """Log-odds gained per e-fold of returns."""
-    score_occlusion: Annotated[float, Ge(0), Le(100)] | None = None
+    score_occlusion: NotNegative100 | None = None
     """Log-odds lost at full occlusion."""
     score_error: NotNegative | None = None
     """Log-odds lost per unit of squared horizontal error in standard deviations: inaccurate boxes score lower."""
-    score_sigma: Annotated[float, Ge(0), Le(100)] | None = None
+    score_sigma: NotNegative100 | None = None
     """Spread of the log-odds."""
     xy_sigma_m: NotNegative | None = None
     """Smallest position error along and across the box [m]."""
-    xy_sigma_per_m: Annotated[float, Ge(0), Le(1)] | None = None
+    xy_sigma_per_m: Share | None = None
     """Position error gained per metre of range [m/m]."""
     xy_sigma_sparse_m: NotNegative | None = None
     """Position error of an object with one return, falling with the square root of the returns [m]."""
-    z_share: Annotated[float, Ge(0), Le(100)] | None = None
+    z_share: NotNegative100 | None = None
     """Vertical position error as a share of the horizontal one: the height of the road is well known."""
     size_sigma: Shares | None = None
     """Relative error of length, width and height of a dense object."""
@@ -91,9 +89,9 @@ class DetectorParams:
     """Probability that an object of the row's class is reported as one of the column's."""
     duplicate_p: Share | None = None
     """Probability that a detected object is reported a second time, with a larger error and a lower score."""
-    duplicate_logit: Annotated[float, Ge(0), Le(100)] | None = None
+    duplicate_logit: NotNegative100 | None = None
     """Mean log-odds by which the second report scores lower."""
-    duplicate_sigma: Annotated[float, Ge(0), Le(100)] | None = None
+    duplicate_sigma: NotNegative100 | None = None
     """Position error of the second report, in lengths and widths of its box."""
     false_positive_per_sweep: Annotated[float, Ge(0), Le(200)] | None = None
     """Mean number of false positives per sweep."""
@@ -109,7 +107,7 @@ class DetectorParams:
     """Share of the persistent false positives that all observers on the same side of the site have in common."""
     false_positive_logit: Annotated[float, Ge(-20), Le(20)] | None = None
     """Mean log-odds of a false positive's score."""
-    false_positive_sigma: Annotated[float, Ge(0), Le(100)] | None = None
+    false_positive_sigma: NotNegative100 | None = None
     """Spread of those log-odds."""
     mean_lwh_m: tuple[Size, Size, Size, Size] | None = None
     """Mean size of a class [m], for false positives and for objects that are reported as another class."""

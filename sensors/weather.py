@@ -26,6 +26,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, UInt64
 from numpy import ndarray
 
+from cosim.base.bounds import Share
 from cosim.base.hash_rng import GOLDEN, mix_rows, splitmix64, uniforms, unit
 from cosim.base.kernel import compiled
 from sensors.lidar import Sweeps
@@ -54,7 +55,6 @@ _OF_LOSS = np.uint64(4 * int(GOLDEN) % 2**64)
 _NOTHING, _NO_RETURN = np.int64(Hit.NOTHING), np.int64(NO_RETURN)
 _S54, _LOW = np.uint64(54), np.uint64(0xFFFFFFFF)
 
-Percentage = Annotated[float, Ge(0), Le(1)]
 Degrees = Annotated[float, Ge(-360), Le(360)]
 
 
@@ -69,13 +69,13 @@ class WeatherParams:
     clear_range_m: Annotated[float, Gt(0), Le(10_000)] | None = None
     """Range at which a surface of reflectivity 0.1 falls to the noise floor in clear air [m], at least
     lidar.max_range_m. none: lidar.max_range_m."""
-    sun: tuple[Degrees, Annotated[float, Gt(0), Le(180)], Percentage] | None = None
+    sun: tuple[Degrees, Annotated[float, Gt(0), Le(180)], Share] | None = None
     """Glare: direction of the sun, counter-clockwise from east [deg]; half width of the sector around it in which
     returns are lost [deg]; probability that one is lost."""
-    dirt: tuple[tuple[Degrees, Degrees, Percentage], ...] = ()
+    dirt: tuple[tuple[Degrees, Degrees, Share], ...] = ()
     """Dirty sectors of the sensor's window: from and to, counter-clockwise from straight ahead [deg], and the
     probability that a return is lost."""
-    dirty_p: Percentage = 1.0
+    dirty_p: Share = 1.0
     """Share of the equipped vehicles whose sensors are dirty."""
     known: bool = True
     """Whether vehicles know how far they see in fog and rain. If so, they evaluate nothing farther away than the road

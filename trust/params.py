@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from annotated_types import Ge, Gt, Interval, Le
 
+from cosim.base.bounds import Share
+
 Method = Literal[
     "trupercept_1",
     "trupercept_2",
@@ -48,7 +50,7 @@ class TruPerceptParams:
     evidence."""
     weighting: Literal["score", "one"] = "score"
     """Weight of a detection in the trust of its vehicle: its score (equation 4), or 1."""
-    least_score: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    least_score: Share = 0.0
     """A detection with a lower score is no evidence: its own sender thinks that it may be nothing. Self reports have
     score 1."""
 
@@ -70,9 +72,9 @@ class TrustParams(TruPerceptParams):
     local_evidence: Literal["received", "own"] = "received"
     """With `host = "local"`: evidence of a vehicle's trust scores. `received`: its own evaluations and all that it
     receives. `own`: its own evaluations only."""
-    default_trust: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    default_trust: Share = 0.5
     """Trust of a vehicle about which nothing is known."""
-    suspect_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    suspect_below: Share = 0.25
     """A vehicle with less trust than this is suspected, in the metrics. Nothing in the run depends on it."""
     suspect_from: Annotated[int, Interval(ge=1, le=1_000_000)] = 1
     """It is suspected if its trust rests on at least as many evaluations. Nothing in the run depends on it."""
@@ -131,7 +133,7 @@ class TrustParams(TruPerceptParams):
     least_overlap: Annotated[float, Interval(ge=0, lt=1)] = 0.0
     """With `weighted` and `aligned`: the score is multiplied by the probability that the box overlaps the object by
     more than this (IoU). 0: it is not multiplied."""
-    min_score: Annotated[float, Interval(ge=0, le=1)] = 0.01
+    min_score: Share = 0.01
     """A fused object below this score is not reported."""
     code_parity: bool = False
     """Whether the published code's formulas are used, in which all evaluators have the same weight."""

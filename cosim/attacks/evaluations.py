@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams
 from cosim.attacks.past import of_earlier_messages
+from cosim.base.bounds import Share
 from cosim.messages.content import Detections
 
 Reported = tuple[Float[ndarray, "m"], Float[ndarray, "m"]]
@@ -104,7 +105,7 @@ class Collusion(_WithIdentities[BadMouthingParams]):
 class DiscriminationParams(IdentitiesParams):
     """Which vehicles are denied."""
 
-    group_p: Annotated[float, Ge(0), Le(1)] = 0.3
+    group_p: Share = 0.3
     """Share of the vehicles in the group that is denied. It is drawn from their names, and all attackers deny the same
     group."""
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, WithParams, per_actor
+from cosim.base.bounds import NotNegative1000, Positive100, Positive1000, Share
 from cosim.base.plane import wrapped
 from cosim.messages.content import FABRICATED, LEAST_ACCURACY_FACTOR, MOST_ACCURACY_FACTOR, SELF, Detections
 from cosim.world import LABELS
@@ -19,11 +20,11 @@ from sensors.boxes import iou_3d
 class RemovalParams:
     """Which detections are withheld."""
 
-    remove_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    remove_p: Share = 1.0
     """Probability that an own detection is withheld from a message."""
     only_victim: bool = False
     """Whether only detections that match the victim are withheld."""
-    min_iou: Annotated[float, Ge(0), Le(1)] = 0.1
+    min_iou: Share = 0.1
     """With `only_victim`: an own detection is withheld if its IoU with the victim is larger. The default is AdvCP's."""
 
 
@@ -79,9 +80,9 @@ class OffsetParams(FalsifiedParams):
 
     offset: Literal["constant", "random"] = "constant"
     """`constant`: one shift per attacker for the whole run. `random`: a new shift for every detection and message."""
-    min_m: Annotated[float, Ge(0), Le(1000)] = 20.0
+    min_m: NotNegative1000 = 20.0
     """Smallest shift per axis [m]. The default is NextGen's."""
-    max_m: Annotated[float, Gt(0), Le(1000)] = 70.0
+    max_m: Positive1000 = 70.0
     """Largest shift per axis [m]. The default is NextGen's."""
 
     def __post_init__(self) -> None:
@@ -118,9 +119,9 @@ class Offset(WithParams[OffsetParams]):
 class DriftParams(FalsifiedParams):
     """Speed and limit of the drift."""
 
-    speed_mps: Annotated[float, Gt(0), Le(100)] = 0.5
+    speed_mps: Positive100 = 0.5
     """Growth of the shift per second of attack [m/s]."""
-    max_m: Annotated[float, Gt(0), Le(1000)] = 20.0
+    max_m: Positive1000 = 20.0
     """Largest shift [m]."""
 
 
@@ -186,7 +187,7 @@ class Heading(WithParams[HeadingParams]):
 class SizeParams(FalsifiedParams):
     """Factor on the sizes."""
 
-    factor: Annotated[float, Gt(0), Le(100)] = 2.0
+    factor: Positive100 = 2.0
     """Factor on length, width and height. The bottom of a box stays where it is."""
 
 
@@ -221,7 +222,7 @@ class Classification:
 class ScoreParams(FalsifiedParams):
     """The score that is claimed."""
 
-    claimed: Annotated[float, Ge(0), Le(1)] = 0.05
+    claimed: Share = 0.05
     """Score of every falsified detection."""
 
 

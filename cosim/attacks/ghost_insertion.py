@@ -1,13 +1,13 @@
 """Ghost insertion: reported objects in front of a victim that do not exist."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from annotated_types import Gt, Le
 
 from cosim.attacks.attack import AttackContext, Vouched, placed
 from cosim.attacks.disguise import ghosts
+from cosim.base.bounds import Positive1000
 from cosim.messages.content import Detections
 from cosim.world import LABELS
 from sensors.boxes import Boxes
@@ -29,7 +29,7 @@ class GhostInsertionParams:
 
     ghosts: Literal["car_and_pedestrian", "car", "three_cars"] = "car_and_pedestrian"
     """Oncoming objects that are inserted in front of the victim."""
-    ahead_m: Annotated[float, Gt(0), Le(1000)] = 8.0
+    ahead_m: Positive1000 = 8.0
     """Distance from the victim's centre to the first inserted object, straight ahead [m]."""
 
 

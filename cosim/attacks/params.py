@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from cosim.base.bounds import Share
 from cosim.base.codes import Role
 
 When = Literal["persistent", "sporadic", "on_off", "sleeper", "camouflage"]
@@ -34,7 +35,7 @@ class AttackParams:
     role: Literal["malicious", "unreliable"] = "malicious"
     """Role of its vehicles in tables and figures. The default is `unreliable` for the attack `unreliable`, and
     `malicious` for all others."""
-    share_p: Annotated[float, Ge(0), Le(1)] = 0.1
+    share_p: Share = 0.1
     """Share of the equipped vehicles that carry out the attack. Whether a vehicle does is drawn from its name."""
     ids: tuple[str, ...] = ()
     """SUMO ids of the vehicles that carry out the attack if they are equipped. If this is set, `share_p` is ignored."""
@@ -54,7 +55,7 @@ class AttackParams:
     """Steps in which the attack is active. `persistent`: in every step. `sporadic`: with probability `active_p`.
     `on_off`: for the share `duty_p` of every period. `sleeper`: from the time at which the attacker's own trust has
     reached `wake_trust`. `camouflage`: while the attacker's own trust is above `keep_above`."""
-    active_p: Annotated[float, Ge(0), Le(1)] = 0.5
+    active_p: Share = 0.5
     """With `sporadic`: probability that a vehicle attacks in a step."""
     period_s: Annotated[float, Gt(0), Le(1e8)] = 50.0
     """With `on_off`: length of a period [s]. The first period begins with the attack, and all vehicles of the section
@@ -62,11 +63,11 @@ class AttackParams:
     period_windows: Annotated[float, Gt(0), Le(1e6)] | None = None
     """With `on_off`: length of a period in windows of evidence (`trust.freshness_s`). If this is set, `period_s` is
     ignored."""
-    duty_p: Annotated[float, Ge(0), Le(1)] = 0.5
+    duty_p: Share = 0.5
     """With `on_off`: share of each period, from its beginning, in which the attack is active."""
-    wake_trust: Annotated[float, Ge(0), Le(1)] = 0.9
+    wake_trust: Share = 0.9
     """With `sleeper`: a vehicle begins once the last broadcast trust in it has reached this value."""
-    keep_above: Annotated[float, Ge(0), Le(1)] = 0.6
+    keep_above: Share = 0.6
     """With `camouflage`: a vehicle attacks while the last broadcast trust in it is above this value."""
     victim: Victim = "nearest"
     """Victim of an attacker, always another equipped vehicle within `victim_range_m`. `nearest`: the nearest one.
@@ -76,7 +77,7 @@ class AttackParams:
     """With `one`: SUMO id of the victim of all attackers, as in the paper."""
     victim_range_m: Annotated[float, Gt(0), Le(10_000)] = 100.0
     """Largest distance between an attacker and its victim [m]."""
-    victim_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    victim_p: Share = 0.05
     """With `designated`: share of the equipped vehicles that are victims, drawn from their names. Attackers are never
     victims. All attackers near a victim aim at it, as in the paper."""
     region_m: tuple[Coordinate, Coordinate, Annotated[float, Gt(0), Le(1e6)]] = (0.0, 0.0, 100.0)
@@ -86,7 +87,7 @@ class AttackParams:
     `whitewashing`: also when the last broadcast trust in them is below `renew_below`. `newcomer`: also every
     `renew_s`, so that they always have the default trust. Further identities of a Sybil attacker keep their pseudonyms,
     whatever the policy."""
-    renew_below: Annotated[float, Ge(0), Le(1)] = 0.5
+    renew_below: Share = 0.5
     """With `whitewashing`: a vehicle takes a new pseudonym if its trust is below this value."""
     renew_s: Annotated[float, Gt(0), Le(1e8)] = 10.0
     """With `newcomer`: time after which a vehicle changes its pseudonym [s]."""

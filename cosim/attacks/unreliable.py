@@ -1,12 +1,11 @@
 """A faulty vehicle that loses own detections and adds copies at wrong places."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 
 from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
+from cosim.base.bounds import Positive1000, Share
 from cosim.base.rng import Stream
 from cosim.messages.content import FABRICATED, SENSED, Detections
 from sensors.boxes import Boxes
@@ -16,11 +15,11 @@ from sensors.boxes import Boxes
 class UnreliableParams:
     """Probabilities of losses and of copies."""
 
-    add_p: Annotated[float, Ge(0), Le(1)] = 0.1
+    add_p: Share = 0.1
     """Probability that a copy of an own detection is added somewhere in the forward view."""
-    remove_p: Annotated[float, Ge(0), Le(1)] = 0.1
+    remove_p: Share = 0.1
     """Probability that an own detection is not transmitted."""
-    add_range_m: Annotated[float, Gt(0), Le(1000)] = 70.0
+    add_range_m: Positive1000 = 70.0
     """Largest distance of a copy [m]."""
 
 

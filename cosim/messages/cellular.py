@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.bounds import Share
 from cosim.base.ragged import differs_from_last
 
 HEADER_BYTES = 18 + 20 + 8
@@ -25,9 +26,9 @@ class CellularParams:
     delay_mean_s: Annotated[float, Ge(0), Le(1e6)] = 0.15
     """Mean delay of one attempt, either way [s]. The part above the shortest delay has a Gamma distribution with
     shape 2."""
-    uplink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
+    uplink_loss_p: Share = 0.01
     """Probability that one attempt of a vehicle's report fails."""
-    downlink_loss_p: Annotated[float, Ge(0), Le(1)] = 0.01
+    downlink_loss_p: Share = 0.01
     """Probability that a vehicle does not receive a broadcast of trust values. There are no retries."""
     n_retries: Annotated[int, Ge(0), Le(10)] = 2
     """Number of retries of a failed report. Each has its own delay."""

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from cosim.base.bounds import NotNegative100, NotNegative1000
+
 MOST_OBJECTS = 255
 """Largest number of objects in one message: ETSI TS 103 324, `PerceivedObjects`."""
 
@@ -39,9 +41,9 @@ class CpmParams:
     """Reports that were received longer ago than this are not used [s]."""
     redundancy_reports: Annotated[int, Ge(0), Le(10_000)] = 5
     """With `frequency`: largest number of reports with which an object is still included."""
-    redundancy_moved_m: Annotated[float, Ge(0), Le(1000)] = 4.0
+    redundancy_moved_m: NotNegative1000 = 4.0
     """With `dynamics`: an object is left out only if it is at most this far from its place in the latest report [m]."""
-    redundancy_speed_mps: Annotated[float, Ge(0), Le(100)] = 0.5
+    redundancy_speed_mps: NotNegative100 = 0.5
     """With `dynamics`: an object is left out only if its speed differs by at most this from the latest report [m/s].
     The rule on speed has no effect where one of the two speeds is unknown."""
     redundancy_sender_m: Annotated[float, Ge(0), Le(100_000)] = 10.0

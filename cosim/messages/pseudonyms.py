@@ -10,11 +10,12 @@ from functools import partial
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
-from annotated_types import Gt, Interval, Le
+from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.bounds import Share
 from cosim.world import World
 
 FIRST_STRETCH_M = 800.0
@@ -132,7 +133,7 @@ class Distance(_WithParams[DistanceParams]):
 class RandomParams:
     """Parameters of `random`."""
 
-    change_p: Annotated[float, Interval(ge=0, le=1)] = 0.1
+    change_p: Share = 0.1
     """Probability of a change at each sweep, after which a vehicle sends. The default is F2MD's."""
 
 
@@ -255,7 +256,7 @@ class PseudonymParams:
     pseudonyms, and revokes one of them. `none`: nothing. `immediate`: receivers drop its messages at once. `list`:
     receivers drop its messages from the next revocation list on. `not_renewed`: the vehicle gets no new pseudonym after
     its current ones."""
-    revoke_below: Annotated[float, Interval(ge=0, le=1)] = 0.25
+    revoke_below: Share = 0.25
     """A vehicle is revoked if the server's trust in it is below this value."""
     min_evaluations: Annotated[int, Gt(0), Le(2**31 - 1)] = 5
     """Smallest number of evaluations for a revocation."""

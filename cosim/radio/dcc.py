@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
+
+from cosim.base.bounds import PositiveShare
 
 STATES = ("relaxed", "active 1", "active 2", "active 3", "restrictive")
 
@@ -32,12 +34,12 @@ class DccParams:
     """Busy ratios from which the states active 1, 2, 3 and restrictive begin."""
     t_off_s: tuple[float, float, float, float, float] = (0.05, 0.1, 0.2, 0.25, 1.0)
     """Least time between two frames in the states relaxed to restrictive [s]."""
-    smoothing: Annotated[float, Gt(0), Le(1)] = 0.5
+    smoothing: PositiveShare = 0.5
     """Weight of the newest busy ratio in the running mean."""
     period_s: Annotated[float, Ge(0.001), Le(60)] = 0.1
     """Time over which the busy ratio is measured; the state moves one step in each [s]."""
 
-    target_cbr: Annotated[float, Gt(0), Le(1)] = 0.68
+    target_cbr: PositiveShare = 0.68
     """With `adaptive`: busy ratio that all stations together approach."""
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from cosim.base.bounds import NotNegative100, Share
 from cosim.radio import sidelink_params
 from cosim.radio.channel import AccessParams
 from cosim.radio.dcc import DccParams
@@ -19,7 +20,7 @@ from cosim.radio.sidelink_params import LteParams, NrParams, SidelinkParams
 class UnitDiskParams:
     """The unit disk model, for theory and quick runs. It has no walls and no collisions."""
 
-    loss_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    loss_p: Share = 0.05
     """Probability that one hop fails at one receiver."""
     latency_min_s: Annotated[float, Ge(0), Le(3600)] = 0.0004
     """Shortest time from the start of a hop to its reception [s]. The default is that of Eclipse MOSAIC's SNS."""
@@ -45,9 +46,9 @@ class RelayParams:
     rule: Literal["contention", "probability"] = "contention"
     """`contention`: the farthest station forwards first, and stations that receive its copy do not forward (with
     `unit_disk` all forward). `probability`: each station forwards with probability `forward_p`."""
-    forward_p: Annotated[float, Ge(0), Le(1)] = 0.5
+    forward_p: Share = 0.5
     """With `probability`: probability that a station forwards a message."""
-    min_trust: Annotated[float, Ge(0), Le(1)] = 0.0
+    min_trust: Share = 0.0
     """A vehicle forwards a message only if its trust in the sender is at least this, as it knew it when the step
     began. An unknown sender has `trust.default_trust`. With 0 trust has no effect on forwarding."""
     timer_min_s: Annotated[float, Gt(0), Le(10)] = 0.001
@@ -82,7 +83,7 @@ class RadioParams:
     have twice that. A message that is not sent by then expires. If it is not set, it is two fifths of the shortest
     sensing interval. With `unit_disk` and the sidelinks, a message ends with its round, which is shorter where vehicles
     sense at different times."""
-    antenna_above_roof_m: Annotated[float, Ge(0), Le(100)] = 0.1
+    antenna_above_roof_m: NotNegative100 = 0.1
     """Height of the antenna above the roof [m]."""
     evaluations: Literal["alone", "piggybacked"] = "alone"
     """`alone`: evaluations are sent at once in their own messages. `piggybacked`: they are sent with the detection

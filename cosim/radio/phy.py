@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Int
 from numpy import ndarray
+
+from cosim.base.bounds import Positive1000, PositiveShare
 
 BANDWIDTH_HZ = 10e6
 PREAMBLE_NS = 4_000
@@ -65,7 +67,7 @@ Deviations: at most 0.1 from the table model and 0.015 from NIST, in the 1.5 dB 
 class ReceiverParams:
     """Receiver of an IEEE 802.11p station."""
 
-    rate_mbps: Annotated[float, Gt(0), Le(1000)] = 6.0
+    rate_mbps: Positive1000 = 6.0
     """Data rate of every frame [Mb/s]: 3, 4.5, 6, 9, 12, 18, 24 or 27."""
     error_model: Literal["table", "nist"] = "table"
     """Packet success against SINR: measured AWGN tables, or the 3 dB more pessimistic NIST union bound."""
@@ -83,7 +85,7 @@ class ReceiverParams:
     """Whether a stronger late frame may take the receiver over from the frame being received."""
     capture_margin_db: Annotated[float, Ge(0), Le(60)] = 5.0
     """By how much the late frame must be stronger [dB]."""
-    capture_window_s: Annotated[float, Gt(0), Le(1)] = 16e-6
+    capture_window_s: PositiveShare = 16e-6
     """How long after its start a reception can be taken over [s]."""
 
     def __post_init__(self) -> None:

@@ -25,6 +25,7 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from cosim.base.bounds import NotNegative1000
 from cosim.base.hash_rng import mix, unit
 from cosim.base.kernel import compiled, inlined, kernel
 from cosim.base.threads import in_ranges
@@ -70,9 +71,9 @@ class PropagationParams:
     """Relative permittivity of the road, for `two_ray_interference`."""
     walls: Literal["3gpp", "sommer"] = "3gpp"
     """Loss without line of sight: the path loss of TR 37.885 (`urban` and `highway` only), or per wall and metre."""
-    wall_db: Annotated[float, Ge(0), Le(1000)] = 9.0
+    wall_db: NotNegative1000 = 9.0
     """Loss per wall crossed, for `sommer` [dB]."""
-    indoors_db_per_m: Annotated[float, Ge(0), Le(1000)] = 0.4
+    indoors_db_per_m: NotNegative1000 = 0.4
     """Loss per metre inside buildings, for `sommer` [dB/m]."""
     shadowing: bool = True
     """Whether links are shadowed."""

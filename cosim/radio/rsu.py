@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Float, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.bounds import Positive1000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,7 +26,7 @@ class RsuParams:
     """Further units, one at each of the junctions with the most incoming lanes."""
     apart_m: Annotated[float, Ge(0), Le(1e6)] = 100.0
     """Least distance between two units at junctions [m]."""
-    height_m: Annotated[float, Gt(0), Le(1000)] = 6.0
+    height_m: Positive1000 = 6.0
     """Height of the antennas at junctions above the street [m]."""
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Le
 
+from cosim.base.bounds import Share
 from cosim.config import config as configs
 from cosim.config import data as config_data
 from cosim.door.kinds import KINDS
@@ -68,11 +69,11 @@ class Keep:
 class Measuring:
     """Options of the metrics: the section `[measure]`."""
 
-    threshold: Annotated[float, Ge(0), Le(1)] | None = None
+    threshold: Share | None = None
     """A subject with less trust than this is suspected; by default `trust.suspect_below`."""
     fresh_s: Annotated[float, Ge(0)] = 10.0
     """Trust is fresh up to this age [s]."""
-    false_positives: Annotated[float, Ge(0), Le(1)] = 0.05
+    false_positives: Share = 0.05
     """False positive rate at which recall is reported."""
     own: str = ""
     """The user's own metrics, as path.py:name or package.module:name: a function of a `results.run.Run` that returns

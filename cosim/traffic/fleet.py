@@ -1,11 +1,10 @@
 """Parameters of the equipped fleet. Imports nothing heavy, because every reading of a config imports it."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
-from annotated_types import Ge, Le
+from cosim.base.bounds import Share
 
-Probability = Annotated[float, Ge(0), Le(1)]
 VehicleClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
 ActorClass = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian"]
 
@@ -18,7 +17,7 @@ class FleetParams:
     none.
     """
 
-    penetration_p: Probability = 0.35
+    penetration_p: Share = 0.35
     """Share of the vehicles of `equipped_kinds` that are equipped with a LiDAR and a radio."""
     equipped_kinds: tuple[VehicleClass, ...] = ("car", "van")
     """Vehicle classes that can be equipped."""

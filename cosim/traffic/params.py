@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
+from cosim.base.bounds import Positive1000
 from sumo_nets.sumocfg import in_folder
 
 SHORTEST_STEP_S = 0.02
@@ -25,7 +26,7 @@ class TrafficParams:
     """Trace or run folder that is replayed in the network of `scenario`. If it is not set, SUMO runs."""
     seed: Annotated[int, Ge(0), Le(2**31 - 1)] = 1
     """Seed of SUMO."""
-    scale: Annotated[float, Gt(0), Le(1000)] = 1.0
+    scale: Positive1000 = 1.0
     """Factor on the demand, beside the scale of the .sumocfg. Below 1, SUMO omits some vehicles. Above 1, it repeats
     some. Traces are not scaled."""
     begin_s: Annotated[float, Ge(0), Le(1e8)] | None = None

@@ -9,13 +9,14 @@ from jaxtyping import Float, Int, UInt64
 from numpy import ndarray
 
 from cosim.base import rng
+from cosim.base.bounds import NotNegative1000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GnssParams:
     """Errors of the position and heading that equipped vehicles estimate."""
 
-    std_m: Annotated[float, Ge(0), Le(1000)] = 0.0
+    std_m: NotNegative1000 = 0.0
     """Standard deviation of the error, for east and for north [m]. 0 means no error. Typical values are some decimetres
     if positioning is fused with inertial sensors and a map, and metres for a receiver alone."""
     heading_std_deg: Annotated[float, Ge(0), Le(180)] = 0.0

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Bool, Float, UInt64
 from numpy import ndarray
 
+from cosim.base.bounds import Positive100
 from cosim.base.plane import wrapped
 from cosim.base.rng import Stream, key, name_key, uniforms
 from cosim.traffic.actors import actor_key
@@ -49,7 +50,7 @@ class RoadsideParams:
     heading_deg: Annotated[float, Ge(-360), Le(360)] = 0.0
     """Direction in which the sensor looks, counter-clockwise from east [deg]. It matters for a field of view below 360
     degrees."""
-    height_m: Annotated[float, Gt(0), Le(100)] = 6.0
+    height_m: Positive100 = 6.0
     """Height of the sensor above the street [m]."""
     sensor: ProfileName = "os1_128"
     """Product whose beams are used. Everything else is as in [lidar]. The sensor is level: its lowest beams meet the

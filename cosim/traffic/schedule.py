@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
+
+from cosim.base.bounds import PositiveShare
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -18,7 +20,7 @@ class SensingGroup:
     Roadside units belong to groups as vehicles do.
     """
 
-    share_p: Annotated[float, Gt(0), Le(1)]
+    share_p: PositiveShare
     """Share of the equipped vehicles. The shares of all groups add up to 1 at most."""
     interval_s: Annotated[float, Ge(0.1), Le(3600)]
     """Time between two LiDAR sweeps of a vehicle of the group, and between two of its messages [s]. It must be a

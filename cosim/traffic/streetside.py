@@ -14,10 +14,10 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.bounds import Positive100, Share
 from cosim.base.codes import PARKED
 from cosim.base.plane import turned_by
 from cosim.base.rng import Stream, key, name_key, uniforms
-from cosim.traffic.fleet import Probability
 from cosim.traffic.objects import TYPICAL_M, ObjectParams
 from sensors.scene import Scene
 from sensors.trees import tree_prisms
@@ -45,10 +45,10 @@ class ParkedParams:
 
     per_100_m: Annotated[float, Ge(0), Le(16)] = 0.0
     """Parked cars per 100 m of kerb, where there is parking. 0: none."""
-    streets_p: Probability = 1.0
+    streets_p: Share = 1.0
     """Share of the edges that have parking on their outer side: the right one, or with left-hand traffic the left one.
     Where the network has OpenStreetMap's tags of parking, these decide."""
-    vans_p: Probability = 0.1
+    vans_p: Share = 0.1
     """Share of vans among them."""
 
 
@@ -58,7 +58,7 @@ class TreeParams:
 
     per_100_m: Annotated[float, Ge(0), Le(20)] = 0.0
     """Trees per 100 m of kerb, where there are trees. 0: none."""
-    streets_p: Probability = 1.0
+    streets_p: Share = 1.0
     """Share of the edges that have trees on their outer side."""
     from_map: bool = False
     """Whether trees and rows of trees in the scenario's polygon files stand there too."""
@@ -68,7 +68,7 @@ class TreeParams:
     """Height of the underside of a crown above the street [m]."""
     crown_m: Annotated[float, Gt(0), Le(50)] = 5.0
     """Width of a crown [m]."""
-    height_m: Annotated[float, Gt(0), Le(100)] = 10.0
+    height_m: Positive100 = 10.0
     """Height of a tree [m]."""
 
     def __post_init__(self) -> None:

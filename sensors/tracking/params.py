@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
-_Positive = Annotated[float, Gt(0), Le(1000)]
-Positive = tuple[_Positive, _Positive, _Positive, _Positive]
+from cosim.base.bounds import NotNegative1000, Positive1000, PositiveShare
+
+Positive = tuple[Positive1000, Positive1000, Positive1000, Positive1000]
 """One value per class: car, pedestrian, cyclist, truck."""
-_NotNegative = Annotated[float, Ge(0), Le(1000)]
-NotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+NotNegative = tuple[NotNegative1000, NotNegative1000, NotNegative1000, NotNegative1000]
 _Share = Annotated[float, Gt(0), Lt(1)]
 _LogOdds = Annotated[float, Ge(-100), Le(100)]
 
@@ -31,7 +31,7 @@ class TrackingParams:
     """That of an object that speeds up, brakes or turns [m2/s3]."""
     accelerating_p: Annotated[float, Ge(0), Lt(1)] = 0.2
     """Share of the time in which an object speeds up, brakes or turns."""
-    motion_memory_s: Annotated[float, Gt(0), Le(1000)] = 2.0
+    motion_memory_s: Positive1000 = 2.0
     """After this time, 1/e of the objects have gone on as they moved without a chance to change [s]."""
     position_sigma_m: Positive = (0.08, 0.1, 0.07, 0.15)
     """Standard deviation of what is new in the error of a detection's position, along each axis [m]: a detector repeats
@@ -48,23 +48,23 @@ class TrackingParams:
     """Share of the observer's own speed that the standard deviation of the speed is at least, likewise."""
     gate_p: _Share = 0.99
     """Probability that the next detection of a tracked object is inside the track's gate."""
-    other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.001
+    other_per_m2: PositiveShare = 0.001
     """Density of the detections near a track that are not of its object, in one sweep [1/m2]. A detection may continue
     a track only if the track predicts it with a higher density."""
     confirm_hits: Annotated[int, Ge(1), Le(1000)] = 3
     """Number of detections from which on the object has a velocity."""
-    keep_s: Annotated[float, Gt(0), Le(1000)] = 2.5
+    keep_s: Positive1000 = 2.5
     """A track ends if its object is not detected for longer than this [s]. It must be at least as long as the interval
     between two sweeps."""
     existence_new: _LogOdds = 1.95
     """Log-odds that the object of a new track exists if the score is 0.5."""
     existence_again: _LogOdds = 1.38
     """Log-odds gained if it is detected again with a score of 0.5, long after the last time."""
-    existence_score: _NotNegative = 1.9
+    existence_score: NotNegative1000 = 1.9
     """Log-odds gained per log-odds of the score, in both cases."""
     existence_scores: tuple[_Share, _Share] = (0.18, 0.88)
     """Scores below and above these count as these."""
-    existence_memory_s: Annotated[float, Ge(0), Le(1000)] = 1.5
+    existence_memory_s: NotNegative1000 = 1.5
     """Time over which a detector repeats its mistakes [s]. A detection t seconds after the last one counts by
     1 - exp(-t / existence_memory_s)."""
 

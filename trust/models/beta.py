@@ -1,13 +1,13 @@
 """Beta reputation: positive and negative evidence that decays exponentially."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from annotated_types import Interval
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -17,7 +17,7 @@ from trust.pair_index import with_rows
 class BetaParams(StepwiseParams):
     """Parameters of the model `beta`."""
 
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """lambda: share of the evidence that is left after 1 s; the default is ours."""
 
 

@@ -14,6 +14,7 @@ from cosim.attacks.attack import AttackContext, Vouched, fabricated, placed
 from cosim.attacks.disguise import ghosts
 from cosim.attacks.ghost_insertion import CAR
 from cosim.attacks.past import of_earlier_messages
+from cosim.base.bounds import NotNegative100, Positive1000
 from cosim.base.ragged import differs_from_last, offsets
 from cosim.messages.content import FABRICATED, SELF, Detections
 from cosim.world import World
@@ -26,11 +27,11 @@ from sensors.scene import Scene, Shape
 class ApproachingGhostParams:
     """Distances of the approaching ghost."""
 
-    from_m: Annotated[float, Gt(0), Le(1000)] = 60.0
+    from_m: Positive1000 = 60.0
     """Distance from the victim's centre in the attacker's first message, straight ahead [m]."""
     step_m: Annotated[float, Ge(0.001), Le(1000)] = 5.0
     """Decrease of the distance per message [m]."""
-    to_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    to_m: Positive1000 = 5.0
     """Smallest distance [m]. After it, the ghost begins again at `from_m`."""
 
     def __post_init__(self) -> None:
@@ -87,10 +88,10 @@ class GhostInShadowParams:
     """Number of directions around the attacker in which it searches, evenly spaced, beginning straight ahead."""
     distances_m: tuple[float, ...] = (15.0, 30.0, 45.0)
     """Distances from the attacker at which it searches, in order of preference [m]."""
-    seen_within_m: Annotated[float, Gt(0), Le(1000)] = 75.0
+    seen_within_m: Positive1000 = 75.0
     """Distance within which other equipped vehicles may see the place [m]. The default is `area.range_m` plus the
     length of a car."""
-    clear_m: Annotated[float, Ge(0), Le(100)] = 5.0
+    clear_m: NotNegative100 = 5.0
     """Smallest distance of the ghost from the centres of real actors [m]."""
 
     def __post_init__(self) -> None:

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Gt, Le
 from jaxtyping import Int
 from numpy import ndarray
 
 from cosim.addons.attacks.ghosts import CAR_LWH_M, ground_m
 from cosim.attacks.attack import AttackContext, EvaluationRows, WithParams, certified, fabricated, placed
 from cosim.attacks.ghost_insertion import CAR
+from cosim.base.bounds import NotNegative1000, Positive1000
 from cosim.messages.content import Detections
 from sensors.boxes import Boxes
 
@@ -22,9 +23,9 @@ class SybilParams:
     n_ghosts: Annotated[int, Gt(0), Le(20)] = 5
     """Number of ghost vehicles per attacker, each with its own pseudonym and messages. F2MD uses 5, NextGen 4 to 6.
     SCMS issues 20 certificates that are valid at once."""
-    spacing_m: Annotated[float, Gt(0), Le(1000)] = 5.0
+    spacing_m: Positive1000 = 5.0
     """Distance between two ghosts along the road [m]. The default is F2MD's."""
-    aside_m: Annotated[float, Ge(0), Le(1000)] = 2.0
+    aside_m: NotNegative1000 = 2.0
     """Distance of the ghosts to the left and to the right of the attacker, in turn [m]. The default is F2MD's."""
     agree: bool = True
     """Whether ghosts confirm each other, with evaluation 1 and visibility 1. What the attacker detects they evaluate as

@@ -1,14 +1,13 @@
 """Attacks that falsify the vehicle's own motion in its self report: speed, braking, stopping."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, WithParams, per_actor
+from cosim.base.bounds import NotNegative100, Positive100, Share
 from cosim.messages.content import SELF, Detections
 
 
@@ -32,9 +31,9 @@ def _told(
 class SpeedParams:
     """Error of the speed."""
 
-    min_mps: Annotated[float, Ge(0), Le(100)] = 1.0
+    min_mps: NotNegative100 = 1.0
     """Smallest error [m/s]. The default is NextGen's."""
-    max_mps: Annotated[float, Gt(0), Le(100)] = 7.0
+    max_mps: Positive100 = 7.0
     """Largest error [m/s]. The default is NextGen's."""
 
     def __post_init__(self) -> None:
@@ -64,11 +63,11 @@ class Speed(WithParams[SpeedParams]):
 class BrakingParams:
     """Strength of the feigned braking."""
 
-    min_factor: Annotated[float, Gt(0), Le(100)] = 2.0
+    min_factor: Positive100 = 2.0
     """Smallest factor on the deceleration. The default is NextGen's."""
-    max_factor: Annotated[float, Gt(0), Le(100)] = 4.0
+    max_factor: Positive100 = 4.0
     """Largest factor on the deceleration. The default is NextGen's."""
-    least_mps2: Annotated[float, Gt(0), Le(100)] = 1.0
+    least_mps2: Positive100 = 1.0
     """Deceleration that is multiplied if the vehicle brakes less than this or not at all [m/s2]."""
 
     def __post_init__(self) -> None:
@@ -102,7 +101,7 @@ class Braking(WithParams[BrakingParams]):
 class StopParams:
     """Beginning of the feigned stop."""
 
-    stop_p: Annotated[float, Ge(0), Le(1)] = 0.05
+    stop_p: Share = 0.05
     """Probability per message that the feigned stop begins. It then lasts. The default is NextGen's; 1 stops at
     once."""
 

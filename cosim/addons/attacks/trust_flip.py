@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from scipy.spatial import cKDTree
 
 from cosim.addons.attacks.ghosts import CAR_LWH_M
 from cosim.attacks.attack import AttackContext, WithParams, placed
 from cosim.attacks.disguise import ghosts
 from cosim.attacks.ghost_insertion import CAR
+from cosim.base.bounds import NotNegative100, Positive100, Share
 from cosim.messages.content import Detections
 from sensors.boxes import Boxes
 
@@ -22,15 +23,15 @@ STEP_M = 2.0
 class TrustFlipParams:
     """Where the phantom appears, and how reliably."""
 
-    ahead_m: Annotated[float, Gt(0), Le(100)] = 8.0
+    ahead_m: Positive100 = 8.0
     """Smallest distance from the victim's centre to the phantom, straight ahead [m]."""
-    farthest_m: Annotated[float, Gt(0), Le(100)] = 40.0
+    farthest_m: Positive100 = 40.0
     """Largest distance [m]. The nearest free place is taken. If there is none, the victim reports no phantom."""
-    clear_m: Annotated[float, Ge(0), Le(100)] = 6.0
+    clear_m: NotNegative100 = 6.0
     """Smallest distance of the phantom from the centres of real actors [m]. Where one stands, others confirm it."""
     left_m: Annotated[float, Ge(-50), Le(50)] = 0.0
     """Distance of the phantom to the left of this line [m]; below 0 to the right."""
-    misled_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    misled_p: Share = 1.0
     """Probability that the victim's detector reports the phantom in a sweep. The default has no source."""
 
     def __post_init__(self) -> None:

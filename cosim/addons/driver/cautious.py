@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.addons.driver.lane_path import ahead_on_path
 from cosim.base import rng
+from cosim.base.bounds import NotNegative100, NotNegative1000, Positive100, Share
 from cosim.base.plane import ahead_of
 from cosim.base.ragged import differs_from_last, expand
 from cosim.base.rows import Rows
@@ -36,25 +37,25 @@ _EPS_S = 1e-6
 class CautiousParams:
     """Parameters of `cautious`: which drivers react, to which objects, and how."""
 
-    share_p: Annotated[float, Ge(0), Le(1)] = 1.0
+    share_p: Share = 1.0
     """Share of the equipped vehicles whose drivers react. Whether a driver reacts is drawn from the vehicle's name."""
-    min_score: Annotated[float, Ge(0), Le(1)] = 0.25
+    min_score: Share = 0.25
     """Smallest score of a fused object that drivers react to. Under TruPercept few real objects of one source reach
     0.5."""
-    half_width_m: Annotated[float, Gt(0), Le(100)] = 1.5
+    half_width_m: Positive100 = 1.5
     """Half width of the corridor along the lane path [m]. Drivers react to objects in it."""
-    horizon_s: Annotated[float, Gt(0), Le(100)] = 4.0
+    horizon_s: Positive100 = 4.0
     """Time ahead at the present speed [s]. Drivers react to objects that the vehicle would reach within it."""
-    reaction_s: Annotated[float, Ge(0), Le(100)] = 0.5
+    reaction_s: NotNegative100 = 0.5
     """Time from the fusion of an object to the first command [s]."""
     comfort_mps2: Annotated[float, Gt(0), Le(50)] = 2.5
     """Deceleration with which the driver approaches an object if there is enough distance [m/s2]."""
     emergency_mps2: Annotated[float, Gt(0), Le(50)] = 4.5
     """Largest deceleration if there is not enough distance [m/s2]. If it exceeds the limit of SUMO's vehicle type, that
     limit is lifted."""
-    release_s: Annotated[float, Ge(0), Le(1000)] = 1.0
+    release_s: NotNegative1000 = 1.0
     """Time for which the driver still reacts to an object after it was last fused with enough score [s]."""
-    standstill_m: Annotated[float, Ge(0), Le(1000)] = 2.5
+    standstill_m: NotNegative1000 = 2.5
     """Gap that the driver leaves to an object [m]. The default is that of SUMO's drivers."""
     persons_ahead_s: Annotated[float, Ge(0)] = 0.0
     """If it is above 0, drivers also brake for persons that would enter the corridor within this time at their observed

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from scipy.special import betaln, expit, gammaln
 
+from cosim.base.bounds import PositiveShare
 from trust.claims import DETECTION, MISSING, N_OBJECTS, SPEED
 from trust.evaluation_log import StepRows, exact, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
@@ -63,11 +64,11 @@ class BeliefGraphParams(StepwiseParams):
     """Likewise of the share of an honest vehicle's steps in which it does not withhold what it confirms with."""
     share_shape: tuple[float, float] = (30.0, 5.0)
     """Prior evidence for and against what a sender says, in the share of it that is confirmed."""
-    independent_p: Annotated[float, Interval(gt=0, le=1)] = 0.5
+    independent_p: PositiveShare = 0.5
     """Share of the evidence that counts as independent: that of successive steps resembles each other."""
     n_sweeps: Annotated[int, Interval(ge=1, le=1000)] = 12
     """Updates of all messages per reading: the bound of the iteration."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.95
+    decay_per_s: PositiveShare = 0.95
     """Share of the evidence that is left after 1 s."""
 
     def __post_init__(self) -> None:

@@ -1,13 +1,13 @@
 """Beta reputation in which what one evaluator says again counts less."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from annotated_types import Interval
 from numpy import ndarray
 
 from cosim.addons.trust_models.median_groups import MedianGroups
+from cosim.base.bounds import PositiveShare, Share
 from trust.evaluation_log import exact_sums
 from trust.models.beta import read_beta
 from trust.models.stepwise import Reading, StepwiseParams
@@ -17,11 +17,11 @@ from trust.models.stepwise import Reading, StepwiseParams
 class BetaCorrelatedParams(StepwiseParams):
     """Parameters of the model `beta_correlated`; the defaults are ours."""
 
-    correlation: Annotated[float, Interval(ge=0, le=1)] = 0.05
+    correlation: Share = 0.05
     """k: correlation of two evaluations that one evaluator makes of one sender. With 0 the model is `beta`; with 1 an
     evaluator counts as one evaluation, however often it speaks. `evidence.repeats.agreement.kappa` measures it (group
     same evaluator): 0.02 to 0.05 in Helsinki."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """lambda: share of the evidence that is left after 1 s."""
 
 

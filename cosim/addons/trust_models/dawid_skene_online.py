@@ -1,14 +1,14 @@
 """Truth inference step by step: `dawid_skene` with a bounded cost per step."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from annotated_types import Interval
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.addons.trust_models.dawid_skene import Answers, InferenceParams, expected_counts, trust_from
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows
 from trust.models.stepwise import Reading, Stepwise
 from trust.pair_index import with_rows
@@ -18,7 +18,7 @@ from trust.pair_index import with_rows
 class DawidSkeneOnlineParams(InferenceParams):
     """Parameters of the model `dawid_skene_online`."""
 
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.95
+    decay_per_s: PositiveShare = 0.95
     """Share of the evidence that is left after 1 s; the default is ours."""
 
 

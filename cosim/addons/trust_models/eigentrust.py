@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Gt
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -17,11 +18,11 @@ from trust.pair_index import with_rows
 class EigenTrustParams(StepwiseParams):
     """Parameters of the model `eigentrust`."""
 
-    restart_p: Annotated[float, Interval(gt=0, le=1)] = 0.5
+    restart_p: PositiveShare = 0.5
     """a: share of every vehicle's trust that goes to the pre-trusted, here all alike."""
     tolerance: Annotated[float, Gt(0)] = 1e-6
     """Change of the vector, summed, at which the iteration ends."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 1.0
+    decay_per_s: PositiveShare = 1.0
     """Share of the local trust that is left after 1 s; the paper has no decay."""
 
 

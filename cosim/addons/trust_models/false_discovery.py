@@ -10,6 +10,7 @@ from numpy import ndarray
 from scipy.special import betainc, gammaincc
 
 from cosim.addons.trust_models.prbi import agreement, numbered
+from cosim.base.bounds import PositiveShare, Share
 from cosim.base.ragged import place_in_group
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
@@ -29,9 +30,9 @@ class FalseDiscoveryParams(StepwiseParams):
     """q: largest expected share of honest vehicles among those with trust of 1/2 or less."""
     present_per_s: Annotated[float, Interval(gt=0, lt=1)] = 0.9
     """Share of the present evidence that is left after 1 s."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of all evidence that is left after 1 s."""
-    correlation: Annotated[float, Interval(ge=0, le=1)] = 0.05
+    correlation: Share = 0.05
     """k: correlation of the evidence about a vehicle. n of it are worth n / (1 + k (n - 1)) independent ones."""
 
 

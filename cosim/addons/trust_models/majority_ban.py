@@ -8,6 +8,7 @@ from annotated_types import Ge, Interval
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.beta import read_beta
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
@@ -22,7 +23,7 @@ class MajorityBanParams(StepwiseParams):
     """Strikes within `strike_window_s` that ban a vehicle for good."""
     strike_window_s: Annotated[float, Interval(ge=0.001, le=1e8)] = 20.0
     """Age at which a strike is forgotten [s]."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of the Beta evidence that is left after 1 s."""
 
 

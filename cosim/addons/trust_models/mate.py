@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.base.bounds import Share
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -22,7 +23,7 @@ class MateParams(StepwiseParams):
 
     negative_gain: Annotated[float, Ge(1)] = 4.0
     """n of a measurement of a vehicle below `negative_below`; 1 above."""
-    negative_below: Annotated[float, Interval(ge=0, le=1)] = 0.4
+    negative_below: Share = 0.4
     """v below which a measurement of a vehicle counts as negative."""
     propagation_s: Annotated[float, Gt(1)] = 10.0
     """1 / `propagation_s` of the distance to the prior is lost in 1 s."""

@@ -1,13 +1,13 @@
 """Median of groups: one value per line of sight, and the median over them."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from annotated_types import Interval
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare, Share
 from trust.evaluation_log import StepRows
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -17,9 +17,9 @@ from trust.pair_index import with_rows
 class MedianGroupsParams(StepwiseParams):
     """Parameters of the model `median_groups`; the defaults are ours."""
 
-    prior_share: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    prior_share: Share = 0.5
     """Share of confirmations in one further group, which has no evaluator."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of the evidence that is left after 1 s."""
 
 

@@ -8,6 +8,7 @@ from annotated_types import Interval
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -21,7 +22,7 @@ class MinhasParams(StepwiseParams):
     """alpha: step of a good experience."""
     loss: Annotated[float, Interval(gt=-1, lt=0)] = -0.3
     """beta: step of a bad experience, larger than `gain` in size."""
-    forgetting_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    forgetting_per_s: PositiveShare = 0.98
     """lambda: share of a trust value that is left when the next experience comes 1 s later."""
     consensus_margin: Annotated[float, Interval(ge=0, lt=0.5)] = 0.3
     """epsilon: a majority is one with at least 1 - epsilon of the votes."""

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Interval
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.beta import expectation
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
@@ -20,7 +21,7 @@ class MisoVParams(StepwiseParams):
 
     n_sources: Annotated[int, Ge(1)] = 2
     """N: vehicles, the sender included, that must agree."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of the experiences that is left after 1 s."""
 
 

@@ -8,6 +8,7 @@ from annotated_types import Interval
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from cosim.base.bounds import PositiveShare, Share
 from cosim.base.rng import draws
 from trust.evaluation_log import StepRows, exact, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
@@ -28,11 +29,11 @@ class PrbiParams(StepwiseParams):
     frames, and its epsilon 0.35."""
     prior_benign: Annotated[float, Interval(gt=0.5, lt=1)] = 0.8
     """Probability that a vehicle is benign, before any evidence."""
-    memory: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    memory: Share = 0.5
     """Weight of the last posterior against the share of verifications passed, in the next prior."""
     missed_p: Annotated[float, Interval(gt=0, lt=1)] = 0.3
     """Probability that a group passes although a member is malicious; 0 in the paper."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of the verifications that is left after 1 s."""
 
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from annotated_types import Interval
 from jaxtyping import Float
 from numpy import ndarray
 
+from cosim.base.bounds import Share
 from trust.models.beta import Beta, BetaParams
 from trust.object_reports import ObjectReports
 
@@ -19,7 +19,7 @@ class RayaParams(BetaParams):
 
     trust_from: Literal["fixed", "vehicle"] = "fixed"
     """Trustworthiness of a report: `report_trust`, or the ego's trust in the vehicle."""
-    report_trust: Annotated[float, Interval(ge=0, le=1)] = 0.8
+    report_trust: Share = 0.8
     """tau: trustworthiness of every report; the default is ours."""
 
 

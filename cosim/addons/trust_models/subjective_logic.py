@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Gt, Interval
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray
 
 from cosim.addons.trust_models import opinions
+from cosim.base.bounds import PositiveShare
 from trust.evaluation_log import StepRows, exact_sums
 from trust.models.stepwise import Reading, Stepwise, StepwiseParams
 from trust.pair_index import with_rows
@@ -24,7 +25,7 @@ class SubjectiveLogicParams(StepwiseParams):
     its belief counts as disbelief and its disbelief as belief. `none`: no effect."""
     check_base: Annotated[float, Gt(1)] = 1.3
     """1 - check_base^-S: belief or disbelief that checks of total weight S give."""
-    decay_per_s: Annotated[float, Interval(gt=0, le=1)] = 0.98
+    decay_per_s: PositiveShare = 0.98
     """Share of the evidence (b / u, d / u) that is left after 1 s; the default is ours."""
 
 
