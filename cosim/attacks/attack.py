@@ -18,7 +18,7 @@ from cosim.base import rng
 from cosim.base.plane import turned_by, wrapped
 from cosim.base.ragged import place_in_group
 from cosim.base.rng import Stream
-from cosim.base.rows import Rows
+from cosim.base.rows import Rows, no_rows
 from cosim.messages.content import FABRICATED, Detections
 from cosim.world import World
 from sensors.boxes import Boxes
@@ -42,17 +42,17 @@ class AttackContext:
     """Position of the attack in the config."""
     params: AttackParams = field(default_factory=AttackParams)
     """The keys that every `[[attacks]]` section has."""
-    member: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
+    member: Bool[ndarray, "n"] = no_rows(bool)
     """All actors of this attack, including those that are honest in this step."""
-    ring: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    ring: Int[ndarray, "n"] = no_rows(np.int64)
     """Ring of colluders of each member. Values of other actors have no meaning."""
-    n_active: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    n_active: Int[ndarray, "n"] = no_rows(np.int64)
     """Number of messages that each attacker has sent since it last began, without this one."""
     memory: dict[str, Any] = field(default_factory=dict)
     """What the attack stores between steps, under names of its choice."""
     walls: WallIndex | None = None
     """Walls of the buildings. None if there are none."""
-    n_identities: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    n_identities: Int[ndarray, "n"] = no_rows(np.int64)
     """Number of identities under which each actor sends in this step, in addition to its own. Given to `detections`
     only."""
 

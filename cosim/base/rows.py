@@ -1,6 +1,7 @@
 """Rows of tables that are held as one array per column."""
 
 from collections.abc import Sequence
+from dataclasses import field
 from typing import Any, Self
 
 import numpy as np
@@ -45,3 +46,8 @@ class Rows:
                 column = type(column).concat(each)
             object.__setattr__(joined, name, column)
         return joined
+
+
+def no_rows(dtype: Any = np.float64) -> Any:
+    """A field of a dataclass whose default is a column without rows."""
+    return field(default_factory=lambda: np.zeros(0, dtype))

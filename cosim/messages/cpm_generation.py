@@ -22,6 +22,7 @@ from numpy import ndarray
 
 from cosim.base.plane import wrapped
 from cosim.base.ragged import place_in_group, rows_of
+from cosim.base.rows import no_rows
 from cosim.messages.content import SELF, Detections, velocities
 from cosim.messages.cpm_params import MOST_OBJECTS, CpmParams
 from cosim.messages.redundancy import Candidates, Heard, redundant
@@ -64,18 +65,18 @@ class Inclusion(IntEnum):
 class InclusionMemory:
     """The objects that each sender last included, with pose, speed and time."""
 
-    of: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    of: Int[ndarray, "n"] = no_rows(np.int64)
     """Sender (as in `Generators.sender`), class, and whether it is the sender itself, in one number, ascending."""
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    yaw_rad: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
-    time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
-    speed_mps: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    yaw_rad: Float[ndarray, "n"] = no_rows()
+    time_s: Float[ndarray, "n"] = no_rows()
+    speed_mps: Float[ndarray, "n"] = no_rows()
     """NaN where it was unknown."""
     velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     """NaN where it was unknown."""
-    track: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    track: Int[ndarray, "n"] = no_rows(np.int64)
     """Number of the sender's track of the object; -1 where it tracks none."""
-    seen_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    seen_s: Float[ndarray, "n"] = no_rows()
     """When it was last a candidate. It is forgotten a second later, or a sensing interval where that is longer."""
 
 
@@ -98,9 +99,9 @@ class Generators:
 class LatestTimes:
     """When something last happened at each sender."""
 
-    sender: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    sender: Int[ndarray, "n"] = no_rows(np.int64)
     """Ascending."""
-    time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    time_s: Float[ndarray, "n"] = no_rows()
 
     def elapsed_s(self, sender: Int[ndarray, "m"], time_s: float) -> Float[ndarray, "m"]:
         """Time since then at each of these senders; infinite where it is not known to have happened."""

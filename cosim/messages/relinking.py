@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from cosim.base.codes import TrustSource
 from cosim.base.ragged import expand, rows_of
-from cosim.base.rows import Rows
+from cosim.base.rows import Rows, no_rows
 from cosim.messages.pseudonyms import PseudonymParams
 from cosim.messages.trust_hosts import Lookups
 
@@ -24,16 +24,16 @@ from cosim.messages.trust_hosts import Lookups
 class KnownSenders(Rows):
     """What receivers store about senders: one row per receiver (actor number) and pseudonym, sorted."""
 
-    receiver: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
-    pseudonym: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    receiver: Int[ndarray, "n"] = no_rows(np.int64)
+    pseudonym: Int[ndarray, "n"] = no_rows(np.int64)
     xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    time_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
-    gap_s: Float[ndarray, "n"] = field(default_factory=lambda: np.zeros(0))
+    time_s: Float[ndarray, "n"] = no_rows()
+    gap_s: Float[ndarray, "n"] = no_rows()
     """Shortest time between two of its messages that the receiver heard; infinite after the first one."""
-    linked: Int[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    linked: Int[ndarray, "n"] = no_rows(np.int64)
     """Earlier pseudonym whose trust value the receiver knew; -1 if there is none."""
-    rated: Bool[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, bool))
+    rated: Bool[ndarray, "n"] = no_rows(bool)
     """Whether the receiver knew a trust value of this pseudonym itself."""
     n_changes: int = 0
     """Number of pseudonym changes so far of senders that the receiver had just received. This is ground truth."""

@@ -5,13 +5,14 @@ rounds of less than that. So a message goes on in the rounds that follow, until 
 too old. Rows of stations change from step to step.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Int, UInt64
 from numpy import ndarray
 
 from cosim.base.ragged import rows_of
+from cosim.base.rows import no_rows
 from cosim.radio.dtypes import NONE
 from cosim.radio.forwarding import COPY, UNIT
 
@@ -47,23 +48,23 @@ SENT_FRAME = np.dtype(
 class Underway:
     """Messages that wait, with all that is known of their frames."""
 
-    key: UInt64[ndarray, "n"] = field(default_factory=lambda: np.zeros(0, np.uint64))
+    key: UInt64[ndarray, "n"] = no_rows(np.uint64)
     """The stations of the round, to whose rows the others refer."""
-    messages: ndarray = field(default_factory=lambda: np.zeros(0, MESSAGE))
+    messages: ndarray = no_rows(MESSAGE)
     """Records of `MESSAGE`."""
-    units: ndarray = field(default_factory=lambda: np.zeros(0, UNIT))
+    units: ndarray = no_rows(UNIT)
     """Their segments."""
-    frames: ndarray = field(default_factory=lambda: np.zeros(0, SENT_FRAME))
+    frames: ndarray = no_rows(SENT_FRAME)
     """Their frames: that of each segment's sender in the order of the segments, then forwarded ones."""
-    copies: ndarray = field(default_factory=lambda: np.zeros(0, COPY))
+    copies: ndarray = no_rows(COPY)
     """Segments at other stations, for forwarding."""
-    got_frame: Int[ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    got_frame: Int[ndarray, "g"] = no_rows(np.int64)
     """Frames that were received, ascending, one row for each receiver."""
-    got_by: Int[ndarray, "g"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    got_by: Int[ndarray, "g"] = no_rows(np.int64)
     """Station that received each."""
-    refused_message: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    refused_message: Int[ndarray, "p"] = no_rows(np.int64)
     """Messages that stations do not forward."""
-    refused_by: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    refused_by: Int[ndarray, "p"] = no_rows(np.int64)
     """Station that refuses each."""
 
     def __len__(self) -> int:

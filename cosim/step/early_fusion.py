@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from cosim.base.ragged import differs_from_last, expand, place_in_group, ptr_of, rows_of
+from cosim.base.rows import no_rows
 from cosim.config.config import Config
 from cosim.messages.cloud_params import EarlyFusionParams
 from cosim.messages.content import SENSED
@@ -34,32 +35,28 @@ Error = Float[ndarray, "e 3"] | None
 """Errors of the poses of all equipped vehicles, as `Positioned.error`."""
 
 
-def _rows() -> Int[ndarray, "0"]:
-    return np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True, slots=True)
 class Clouds:
     """M point clouds, what they hold of actors, and who received them. Vehicles and actors are actor numbers."""
 
-    step: Int[ndarray, "m"] = field(default_factory=_rows)
+    step: Int[ndarray, "m"] = no_rows(np.int64)
     """Step of the sweep."""
-    sender: Int[ndarray, "m"] = field(default_factory=_rows)
+    sender: Int[ndarray, "m"] = no_rows(np.int64)
     xy_m: Float[ndarray, "m 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     """Where the sender takes itself to be."""
-    cloud: Int[ndarray, "v"] = field(default_factory=_rows)
+    cloud: Int[ndarray, "v"] = no_rows(np.int64)
     """Cloud in which each actor has returns, ascending."""
-    actor: Int[ndarray, "v"] = field(default_factory=_rows)
-    n_returns: Int[ndarray, "v"] = field(default_factory=_rows)
-    n_unoccluded: Int[ndarray, "v"] = field(default_factory=_rows)
-    range_m: Float[ndarray, "v"] = field(default_factory=lambda: np.zeros(0))
+    actor: Int[ndarray, "v"] = no_rows(np.int64)
+    n_returns: Int[ndarray, "v"] = no_rows(np.int64)
+    n_unoccluded: Int[ndarray, "v"] = no_rows(np.int64)
+    range_m: Float[ndarray, "v"] = no_rows()
     """Distance from the sensor to the actor."""
     at_m: Float[ndarray, "v 2"] = field(default_factory=lambda: np.zeros((0, 2)))
     """Where the actor was when the sensor looked at it, by the sender's estimate of its own pose."""
-    receiver: Int[ndarray, "r"] = field(default_factory=_rows)
-    received: Int[ndarray, "r"] = field(default_factory=_rows)
+    receiver: Int[ndarray, "r"] = no_rows(np.int64)
+    received: Int[ndarray, "r"] = no_rows(np.int64)
     """Cloud that this receiver has."""
-    untold: Int[ndarray, "u"] = field(default_factory=_rows)
+    untold: Int[ndarray, "u"] = no_rows(np.int64)
     """Senders of clouds that vehicles received after their rounds, of which no row of results tells yet."""
 
     def and_also(self, later: "Clouds") -> "Clouds":

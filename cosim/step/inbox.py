@@ -23,6 +23,7 @@ from cosim.base.ragged import (
     ranges,
     rows_of,
 )
+from cosim.base.rows import no_rows
 from cosim.messages.content import Detections, velocities
 from cosim.radio.message_round import Receptions, RoundKind
 from cosim.step.accuracy import aged
@@ -62,15 +63,15 @@ class Inbox:
     Vehicles and actors are actor numbers here, because rows of the world change from step to step.
     """
 
-    step: Int[ndarray, "m"] = field(default_factory=_rows)
-    sender: Int[ndarray, "m"] = field(default_factory=_rows)
+    step: Int[ndarray, "m"] = no_rows(np.int64)
+    sender: Int[ndarray, "m"] = no_rows(np.int64)
     """Actor number and identity in one number, as `Exchange.sender`."""
-    pseudonym: Int[ndarray, "m"] = field(default_factory=_rows)
+    pseudonym: Int[ndarray, "m"] = no_rows(np.int64)
     ptr: Int[ndarray, "m+1"] = field(default_factory=lambda: np.zeros(1, np.int64))
     objects: Detections = field(default_factory=_no_detections)
     truth: GroundTruth = field(default_factory=_no_truth)
-    withheld: Bool[ndarray, "d"] = field(default_factory=lambda: np.zeros(0, bool))
-    from_own_m: Float[ndarray, "d"] = field(default_factory=lambda: np.zeros(0))
+    withheld: Bool[ndarray, "d"] = no_rows(bool)
+    from_own_m: Float[ndarray, "d"] = no_rows()
     """Distance of each detection from the sensor of its sender."""
     pairs: Pairs = field(default_factory=lambda: (_rows(), _rows(), np.zeros(0)))
     evaluated: ObjectLists = field(default_factory=lambda: ObjectLists(np.zeros(1, np.int64), _rows(), _rows()))

@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.bounds import NotNegative1000
+from cosim.base.rows import no_rows
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,7 +45,7 @@ class PositionErrors:
 
     error: Float[ndarray, "capacity 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """East [m], north [m] and heading, counter-clockwise [rad]."""
-    step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    step: Int[ndarray, "capacity"] = no_rows(np.int64)
 
     def next(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from cosim.base.rows import Rows
+from cosim.base.rows import Rows, no_rows
 
 PLACE, VELOCITY, XX, XV, VV = range(5)
 """Columns of `Tracks.motion`."""
@@ -70,9 +70,9 @@ class TrackMemory:
     """What the tracking of all observers passes on from one moment to the next."""
 
     tracks: Tracks = field(default_factory=Tracks.none)
-    known: Int[ndarray, "k"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    known: Int[ndarray, "k"] = no_rows(np.int64)
     """Observers that have ever had a track, sorted."""
-    n_objects: Int[ndarray, "k"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    n_objects: Int[ndarray, "k"] = no_rows(np.int64)
     """Number of objects that each of them has numbered."""
 
 

@@ -19,6 +19,7 @@ from cosim.addons.sidelink.records import (
 )
 from cosim.addons.sidelink.slots import count_entries, load_entries
 from cosim.base.ragged import differs_from_last, offsets
+from cosim.base.rows import no_rows
 from cosim.radio.channel import Links
 from cosim.radio.dtypes import NEVER, NONE
 from cosim.radio.link_cache import LinkCache
@@ -29,16 +30,16 @@ from cosim.radio.message_round import Stations
 class SidelinkState:
     """All that lasts from one round to the next. Callers only pass it on."""
 
-    process: ndarray = field(default_factory=lambda: np.zeros(0, PROCESS))
+    process: ndarray = no_rows(PROCESS)
     """Processes of the stations, sorted by key."""
-    station: ndarray = field(default_factory=lambda: np.zeros(0, STATION))
-    entry: ndarray = field(default_factory=lambda: np.zeros(0, ENTRY))
+    station: ndarray = no_rows(STATION)
+    entry: ndarray = no_rows(ENTRY)
     """Which stations have decoded which reservations, by station, with gaps."""
     ptr: ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
     """Where each station's entries begin."""
-    n_entries: ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    n_entries: ndarray = no_rows(np.int64)
     """Of each station."""
-    reservation: ndarray = field(default_factory=lambda: np.zeros(0, RESERVATION))
+    reservation: ndarray = no_rows(RESERVATION)
     """All that were announced in the latest round, and earlier ones that lasted until then."""
     until: int = 0
     """First slot that has not been carried out."""

@@ -1,13 +1,14 @@
 """Encounters by all definitions in the config, from pairs near each other and their lines of sight."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int, UInt64
 from numpy import ndarray
 
+from cosim.base.rows import no_rows
 from cosim.traffic.actors import actor_key
 from cosim.world import World
 from results.encounters import EncounterParams, EncounterTracker, Rows
@@ -46,7 +47,7 @@ class PairSearch:
     mount_above_roof_m: float
     city: Scene | None = None
     """The scene whose trees block lines of sight."""
-    parked_key: UInt64[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.uint64))
+    parked_key: UInt64[ndarray, "p"] = no_rows(np.uint64)
     """Keys of the names of parked cars, which have no encounters."""
 
     @staticmethod

@@ -4,25 +4,26 @@ In a city with 50,000 vehicles that send, some eight million pairs are within ra
 pairs once, and make no arrays of pairs besides their results.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
+from cosim.base.rows import no_rows
 
 
 @dataclass(frozen=True, slots=True)
 class InterReceptionTracker:
     """Pairs within communication range and their last receptions, for one message type."""
 
-    pair: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    pair: Int[ndarray, "p"] = no_rows(np.int64)
     """Actor number of the sender x 2**32 + that of the receiver, ascending; all pairs within range when the sender last
     had a message."""
-    last: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int32))
+    last: Int[ndarray, "p"] = no_rows(np.int32)
     """Step of the last reception since they came within range; -1 if there was none."""
-    step: Int[ndarray, "p"] = field(default_factory=lambda: np.zeros(0, np.int32))
+    step: Int[ndarray, "p"] = no_rows(np.int32)
     """Step in which the sender last had a message."""
 
     def next(

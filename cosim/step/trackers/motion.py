@@ -1,18 +1,20 @@
 """Accelerations of actors, from their speeds in two successive steps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+
+from cosim.base.rows import no_rows
 
 
 @dataclass(frozen=True, slots=True)
 class LastSpeeds:
     """The last speed of every actor, and the step of this speed, by actor number."""
 
-    speed_mps: Float[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0))
-    step: Int[ndarray, "capacity"] = field(default_factory=lambda: np.zeros(0, np.int64))
+    speed_mps: Float[ndarray, "capacity"] = no_rows()
+    step: Int[ndarray, "capacity"] = no_rows(np.int64)
 
     def next(
         self, step: int, actor: Int[ndarray, "n"], speed_mps: Float[ndarray, "n"], dt_s: float
