@@ -7,6 +7,7 @@ to another counts as `ab` if it has the smaller number, else as `ba`.
 import numpy as np
 
 from cosim.base.kernel import compiled
+from cosim.base.ragged import partners
 
 
 @compiled
@@ -16,22 +17,7 @@ def slots(pair, slot, one, other):
     n = 0
     for k in range(len(pair)):
         n = max(n, b[k] + 1)
-    begin = np.zeros(n + 1, np.int64)  # where the encounters of each actor begin
-    for k in range(len(pair)):
-        begin[a[k] + 1] += 1
-        begin[b[k] + 1] += 1
-    for actor in range(n):
-        begin[actor + 1] += begin[actor]
-    put = begin[:-1].copy()
-    partner = np.empty(2 * len(pair), np.int32)
-    held = np.empty(2 * len(pair), np.int32)
-    for k in range(len(pair)):
-        partner[put[a[k]]] = b[k]
-        partner[put[b[k]]] = a[k]
-        held[put[a[k]]] = slot[k]
-        held[put[b[k]]] = slot[k]
-        put[a[k]] += 1
-        put[b[k]] += 1
+    begin, partner, pair_of = partners(a, b, n)
     found = np.empty(len(one), np.int64)
     last = -1  # the actor in `one` whose encounters `slot_with` holds
     met_by = np.full(n, -1, np.int32)  # of each actor, the last one whose encounters included it
@@ -42,7 +28,7 @@ def slots(pair, slot, one, other):
             if last < n:
                 for k in range(begin[last], begin[last + 1]):
                     met_by[partner[k]] = last
-                    slot_with[partner[k]] = held[k]
+                    slot_with[partner[k]] = slot[pair_of[k]]
         whom = other[row]
         is_met = whom < n and met_by[whom] == last
         found[row] = slot_with[whom] if is_met else -1

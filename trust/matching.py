@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
+from cosim.base.ragged import partners
 from cosim.base.threads import in_ranges
 from trust.params import TrustParams
 from trust.tables import Groups, ObjectLists, SentDetections, float64, int64
@@ -139,28 +140,6 @@ def _one_per_vehicle(s, t, member, at, block, ptr, other, value, seed, choice, c
         n_waiting = n_left
 
 
-@compiled
-def _partners(i, j, value, n):
-    """The partners of each of n detections and their values, compressed rows; i and j are the pairs."""
-    ptr = np.zeros(n + 1, np.int64)
-    for k in range(len(i)):
-        ptr[i[k] + 1] += 1
-        ptr[j[k] + 1] += 1
-    for d in range(n):
-        ptr[d + 1] += ptr[d]
-    at = ptr[:-1].copy()
-    other = np.empty(2 * len(i), np.int32)
-    of = np.empty(2 * len(i))
-    for k in range(len(i)):
-        one, its_partner = i[k], j[k]
-        for a, b in ((one, its_partner), (its_partner, one)):
-            row = at[a]
-            other[row] = b
-            of[row] = value[k]
-            at[a] += 1
-    return ptr, other, of
-
-
 Pairs = tuple[Int[ndarray, "q"], Int[ndarray, "q"], Float[ndarray, "q"]]
 """Rows of two detections, and how well they agree."""
 
@@ -180,7 +159,8 @@ class Partners(NamedTuple):
         kept = pairs[2] > least  # False for a NaN
         i, j, value = pairs if kept.all() else (column[kept] for column in pairs)
         i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
-        return Partners(*_partners(i, j, float64(value), n))
+        ptr, other, pair = partners(i, j, n)
+        return Partners(ptr, other, float64(value)[pair])
 
 
 def match(

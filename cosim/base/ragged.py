@@ -171,3 +171,23 @@ def counting_order(value, n):
         order[at[value[row]]] = row
         at[value[row]] += 1
     return order
+
+
+@compiled
+def partners(a, b, n):
+    """Partners of each of n things that are in pairs: compressed rows, each with the partner and the pair, by pair."""
+    ptr = np.zeros(n + 1, np.int64)
+    for pair in range(len(a)):
+        ptr[a[pair] + 1] += 1
+        ptr[b[pair] + 1] += 1
+    for i in range(n):
+        ptr[i + 1] += ptr[i]
+    at = ptr.copy()
+    other = np.empty(2 * len(a), np.int32)
+    pair_of = np.empty(2 * len(a), np.int32)
+    for pair in range(len(a)):
+        one, two = a[pair], b[pair]
+        for i, j in ((one, two), (two, one)):
+            other[at[i]], pair_of[at[i]] = j, pair
+            at[i] += 1
+    return ptr, other, pair_of
