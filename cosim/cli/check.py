@@ -13,10 +13,10 @@ from cosim.cli.console import (
     Preset,
     TrustCode,
     duration,
-    notes,
     print_facts,
     print_json,
-    screen,
+    print_line,
+    print_note,
     with_preset,
 )
 from cosim.cli.files import is_study_file, refuse_other_than_config
@@ -52,13 +52,13 @@ def check(
     experiment = load(config, with_preset(preset, overrides), trust_code)
     scenario = checking.check(experiment)
     for remark in checking.remarks_on(experiment, scenario, config) + checking.empty_streets(experiment, scenario):
-        notes.print(remark, soft_wrap=True)
+        print_note(remark)
     loaded = scene_summary(scenario).lines
     if as_json:
         print_json(experiment.to_dict())
     elif everything:
         head = "".join(f"# {topic}: {line}\n" for topic, line in loaded.items())
-        screen.print(head + toml_text(experiment.to_dict()), soft_wrap=True)
+        print_line(head + toml_text(experiment.to_dict()))
     else:
         _print_config(experiment, config, loaded, _words(config, preset, overrides))
 
@@ -133,9 +133,9 @@ def _check_study(
     for config in {p.config.traffic: p.config for p in task.points}.values():
         checking.check(config)
     for note in keys_in_vain(task.points) + scene_notes(task.points):
-        notes.print(note, soft_wrap=True)
+        print_note(note)
     if everything:
-        screen.print(study.to_toml(), soft_wrap=True)
+        print_line(study.to_toml())
         return
     from cosim.cli.studies import plan_facts, plan_lines
 

@@ -161,6 +161,16 @@ def _as_json(content: object) -> object:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
+def print_note(text: str) -> None:
+    """Print a sentence on standard error; the terminal wraps it."""
+    notes.print(text, soft_wrap=True)
+
+
+def print_line(text: str | Text) -> None:
+    """Print text on standard output; the terminal wraps it."""
+    screen.print(text, soft_wrap=True)
+
+
 def print_json(content: object) -> None:
     """JSON on standard output. What a terminal would obey is escaped, so that a program reads it unchanged."""
     text = json.dumps(_as_json(content), indent=1, ensure_ascii=False, default=str, allow_nan=False)
@@ -192,7 +202,7 @@ def print_facts(facts: Mapping[str, Sequence[str]]) -> None:
                     sentence, max(screen.width - 12, 30), break_long_words=False, break_on_hyphens=False
                 )
             for line in lines:
-                screen.print(Text.assemble((f"{label:<12}", "bold"), line), soft_wrap=True)
+                print_line(Text.assemble((f"{label:<12}", "bold"), line))
                 label = ""
 
 
@@ -205,12 +215,12 @@ def print_metrics(as_json: bool) -> None:
         return
 
     for topic, about in TOPICS.items():
-        screen.print(Text(f"{topic}: {about}", style="bold"), soft_wrap=True)
+        print_line(Text(f"{topic}: {about}", style="bold"))
         for name, metric in METRICS.items():
             if name.startswith(topic + "."):
                 unit = f" [{metric.unit}]" if metric.unit not in ("", "1") else ""
                 by = f" By {metric.group}." if metric.group else ""
-                screen.print(Text(f"  {name}{unit}: {metric.definition}{by}"), soft_wrap=True)
+                print_line(Text(f"  {name}{unit}: {metric.definition}{by}"))
 
 
 def print_done(done: dict[str, Any], said: str, as_json: bool) -> None:
@@ -218,7 +228,7 @@ def print_done(done: dict[str, Any], said: str, as_json: bool) -> None:
     if as_json:
         print_json(done)
     else:
-        screen.print(said, soft_wrap=True)
+        print_line(said)
 
 
 def rows_of(table: Any) -> list[dict[str, object]]:
@@ -280,7 +290,7 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     lines = [line_of(*row) if len(row) > 1 else row[0] for row in cells]
     head = [Text(title, style="bold"), Text("value, unit, 95 % interval", style="dim"), Text()]
     for line in (*head, *map(Text, lines)):
-        screen.print(line, soft_wrap=True)
+        print_line(line)
 
 
 _LABEL = 40

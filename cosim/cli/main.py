@@ -29,7 +29,9 @@ from cosim.cli.console import (
     TrustCode,
     notes,
     print_json,
+    print_line,
     print_metrics,
+    print_note,
     progress,
     screen,
     with_preset,
@@ -175,7 +177,7 @@ def run(
     refuse_other_than_config(config)
     experiment = load(config, with_preset(preset, overrides), trust_code)
     for remark in remarks_on(experiment, checked(experiment), config):
-        notes.print(remark, soft_wrap=True)
+        print_note(remark)
     if watch and watch_file is not None:
         raise ValueError("--watch shows the run in the viewer, and --watch-file writes a file. Choose one.")
     target = "viewer" if watch else watch_file
@@ -183,7 +185,7 @@ def run(
     cost = cost_of(experiment)
     if cost.wall_s >= LONG_RUN_S or notes.is_terminal:
         for line in costs(cost).values():
-            notes.print(f"estimate: {'; '.join(line)}", soft_wrap=True)
+            print_note(f"estimate: {'; '.join(line)}")
     if live_view is None:
         with progress() as advance:
             folder = running.run(experiment, out, Pace(cost.step_cpu_s, advance))
@@ -228,11 +230,11 @@ def verify(runs: RunPaths, as_json: AsJson = False) -> None:
     else:
         for name, (about, problems) in found.items():
             for problem in problems:
-                screen.print(f"{name}: {problem}", soft_wrap=True)
+                print_line(f"{name}: {problem}")
             what = "damaged" if problems else "whole"
             tables = f"{about['status']}, {about['steps']} steps, {about['tables']} tables"
             size = f"{about['parts']} parts, {about['rows']:,} rows, {about['bytes']:,} bytes"
-            screen.print(f"{name}: {what}; {tables}, {size}", soft_wrap=True)
+            print_line(f"{name}: {what}; {tables}, {size}")
     if any(problems for _, problems in found.values()):
         raise typer.Exit(1)
 
@@ -246,7 +248,7 @@ def _conclude(folder: Path, as_json: bool) -> None:
     give_back_freed_memory()  # otherwise the memory of the run would add to the memory that the metrics take
     run = print_run_summary(folder, as_json)
     for remark in remarks(folder):
-        notes.print(remark, soft_wrap=True)
+        print_note(remark)
     _say_damage([run])
 
 
@@ -256,7 +258,7 @@ def _opened(folder: Path) -> "OpenRun":
 
     run = open_run(folder, unfinished=True)
     if (status := run.status) != "finished":
-        notes.print(f"note: {folder} is {status}: its first {run.manifest['steps']} steps are shown.", soft_wrap=True)
+        print_note(f"note: {folder} is {status}: its first {run.manifest['steps']} steps are shown.")
     return run
 
 
@@ -264,7 +266,7 @@ def _say_damage(runs: Iterable["Run"]) -> None:
     """Print what could not be shown because files are damaged; exit with status 1 if there is any damage."""
     said = list(dict.fromkeys(line for run in runs for line in run.damage))
     for line in said:
-        notes.print(f"error: {line}", soft_wrap=True)
+        print_note(f"error: {line}")
     if said:
         raise typer.Exit(1)
 
@@ -358,10 +360,10 @@ def measure(
     refuse_other_groups(every, shipped)
     for run, table in zip(chosen, tables, strict=True):
         if table.empty:
-            notes.print(f"note: {run.path} has no value of {', '.join(metrics or ())}.", soft_wrap=True)
+            print_note(f"note: {run.path} has no value of {', '.join(metrics or ())}.")
     print_measures(chosen, tables, as_json, csv)
     for remark in remarks(chosen):
-        notes.print(remark, soft_wrap=True)
+        print_note(remark)
     _say_damage(chosen)
 
 
@@ -445,7 +447,7 @@ def plot(
     else:
         drawn = FIGURES[what](chosen, **given)
         path = style.save(drawn, out or runs[0] / f"{what}.png")
-    screen.print(f"wrote {path}", soft_wrap=True)
+    print_line(f"wrote {path}")
     _say_damage(chosen)
 
 
@@ -472,7 +474,7 @@ def report(
     if figures:
         raise ValueError("--figures goes with a study, and this is a run. `cosim plot` draws the figures of a run.")
     path = write(run, out or folder / "report.html")
-    screen.print(f"wrote {path}", soft_wrap=True)
+    print_line(f"wrote {path}")
     _say_damage([run])
 
 
@@ -491,7 +493,7 @@ def main(command: Callable[..., int | None] = app) -> None:
     except (typer.Abort, KeyboardInterrupt):
         status = _say("interrupted", 130)
     except Stopped as stopped:
-        notes.print(str(stopped), soft_wrap=True)
+        print_note(str(stopped))
         status = 128 + stopped.signum
     except BrokenPipeError:
         status = 1
@@ -582,7 +584,7 @@ def _say(message: str, status: int, error: BaseException | None = None) -> int:
         if error is not None and _debug.is_on:
             notes.print("".join(traceback.format_exception(error)), soft_wrap=True, end="")
         if message:
-            notes.print(f"error: {' '.join(message.split())}", soft_wrap=True)
+            print_note(f"error: {' '.join(message.split())}")
     return status
 
 

@@ -10,7 +10,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from cosim.cli.console import AsJson, notes, print_done, print_json, screen
+from cosim.cli.console import AsJson, print_done, print_json, print_note, screen
 from cosim.cli.help import Commands
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def list_(
             try:
                 rows.append(summary(catalogue.open_folder(recipe.parent)) | {"where": str(recipe.parent)})
             except ValueError as error:
-                notes.print(f"note: left out: {error}", soft_wrap=True)
+                print_note(f"note: left out: {error}")
     if as_json:
         print_json([{"description": row["what"], **row} for row in rows])
         return

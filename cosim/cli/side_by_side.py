@@ -9,7 +9,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 
 from cosim.base import durable
-from cosim.cli.console import plain, print_json, print_rows, print_table, rows_of, screen
+from cosim.cli.console import plain, print_json, print_line, print_rows, print_table, rows_of
 from results.figures.style import names
 from results.metrics.compare import differing
 from results.run import Run
@@ -52,7 +52,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
             durable.write_output(csv, csv_of(whole))
         except OSError as error:
             raise ValueError(f"--csv {csv} cannot be written: {error.strerror or error}. Give another file.") from None
-        screen.print(f"wrote {csv}", soft_wrap=True)
+        print_line(f"wrote {csv}")
     elif as_json:
         of_run = {}
         for run, table in zip(runs, tables, strict=True):
@@ -65,7 +65,7 @@ def print_measures(runs: list[Run], tables: list[pd.DataFrame], as_json: bool, c
         print_table(_side_by_side(labels, tables, keys))
         if pd.concat(tables).low.notna().any():
             line = "These values have intervals and notes: cosim measure of one run prints them, and --csv writes them."
-            screen.print(line, soft_wrap=True)
+            print_line(line)
 
 
 def _one_table(

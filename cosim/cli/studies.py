@@ -14,9 +14,10 @@ from cosim.cli.console import (
     Preset,
     TrustCode,
     duration,
-    notes,
     print_done,
     print_json,
+    print_line,
+    print_note,
     print_table,
     progress,
     screen,
@@ -71,12 +72,12 @@ def sweep(
     if study.parent != out:  # there it is the copy of what is asked for
         said += remarks.name_notes(study, asked)
     for note in said + sweeping.measuring_notes(task) + remarks.interval_notes(asked):
-        notes.print(note, soft_wrap=True)
+        print_note(note)
     if dry_run:
         print_done(plan_facts(task, workers), "\n".join(plan_lines(task, workers)), as_json)
         return
     if task.plan.runs:
-        notes.print(_by_the_clock(plan_facts(task, workers)), soft_wrap=True)
+        print_note(_by_the_clock(plan_facts(task, workers)))
     with progress() as advance:
 
         def report(done: int, total: int, answered: int, note: str) -> None:
@@ -84,7 +85,7 @@ def sweep(
             advance(f"{task.study.head.name}, runs", done, total, note)
 
         def log(line: str) -> None:
-            notes.print(line, soft_wrap=True)
+            print_note(line)
 
         states, failed = sweeping.sweep(task, report, scheduler, workers, log)
     _print_states(task.study.head.name, out, states, failed, as_json)
@@ -114,7 +115,7 @@ def status(
         said = f"cosim {shlex.join(map(str, words))}"
         if not is_done and StudyFolder(folder).is_swept():
             said = "wait, a sweep is running"
-        screen.print(f"next: {said}", soft_wrap=True)
+        print_line(f"next: {said}")
 
 
 def _print_progress(folder: Path, as_json: bool) -> None:
@@ -206,7 +207,7 @@ def measure(
         written = study.write()
     except OSError as error:  # the study of somebody else, or a full disk
         said = f"note: {error.filename} cannot be written: {error.strerror}. The tables are shown alone."
-        notes.print(said, soft_wrap=True)
+        print_note(said)
     tables = {"summary": study.summary}
     if study.baseline and len(study.differences):
         tables["differences"] = study.differences
@@ -215,7 +216,7 @@ def measure(
         rows = {name: _rows(study, table, metrics, held) for name, table in tables.items()}
         if csv:
             durable.write_output(csv, csv_of(rows["summary"]))
-            screen.print(f"wrote {csv}", soft_wrap=True)
+            print_line(f"wrote {csv}")
         else:
             print_json({name: table.to_dict("records") for name, table in rows.items()})
         return
@@ -234,14 +235,14 @@ def measure(
             continue  # these points are the baseline itself
         _print_pivot(study, title, found)
         for line in cautions(study, frame, there, held):
-            screen.print(line, soft_wrap=True)
+            print_line(line)
     for line in [*together(study), *unpaired(study, asked, held)]:
-        screen.print(line, soft_wrap=True)
+        print_line(line)
     if written:
-        screen.print("written: " + ", ".join(str(path) for path in written), soft_wrap=True)
+        print_line("written: " + ", ".join(str(path) for path in written))
     if not metrics:
         said = "These are the core metrics; --metric names others, --over the key of the columns."
-        screen.print(f"{said} Next: cosim report {shlex.quote(str(folder))}", soft_wrap=True)
+        print_line(f"{said} Next: cosim report {shlex.quote(str(folder))}")
 
 
 def _rows(study, table, metrics: list[str], held: dict[str, str]):
@@ -280,7 +281,7 @@ def _print_pivot(study, title: str, found) -> None:
     from results.study import short_keys
 
     if found.empty:
-        screen.print(f"{title}: no metric has a value", soft_wrap=True)
+        print_line(f"{title}: no metric has a value")
         return
     short = short_keys(study.keys)
     heads = [Column(short.get(name, name), overflow="fold") for name in found]
@@ -313,11 +314,11 @@ def _print_first(folder: Path) -> None:
     table = pivot(study, study.summary, asked, over, held)
     _print_pivot(study, title, table)
     if missing := table.attrs["missing"]:
-        screen.print(f"without a value here: {', '.join(missing)}", soft_wrap=True)
+        print_line(f"without a value here: {', '.join(missing)}")
     for line in [*together(study), *cautions(study, study.summary, asked, held)]:
-        screen.print(line, soft_wrap=True)
+        print_line(line)
     given = shlex.quote(str(folder))
-    screen.print(f"next: cosim report {given}   cosim measure {given}", soft_wrap=True)
+    print_line(f"next: cosim report {given}   cosim measure {given}")
 
 
 def _held(where: list[str]) -> dict[str, str]:
@@ -356,7 +357,7 @@ def plot(
     else:
         drawn = figure.draw(study, topic, metrics, over, by, held)
     path = style.save(drawn, out or folder / f"{topic}.png")
-    screen.print(f"wrote {path}", soft_wrap=True)
+    print_line(f"wrote {path}")
 
 
 def report(folder: Path, out: Path | None, figures: Path | None, where: list[str]) -> None:
@@ -368,9 +369,9 @@ def report(folder: Path, out: Path | None, figures: Path | None, where: list[str
         raise ValueError(f"--figures {figures} is a file. Give a folder.")
     study = open_study(folder).at(_held(where))
     path = write(study, out or folder / "report.html", ", ".join(where))
-    screen.print(f"wrote {path}", soft_wrap=True)
+    print_line(f"wrote {path}")
     if figures is not None:
-        screen.print(f"wrote {len(save_figures(study, figures))} figures to {figures}", soft_wrap=True)
+        print_line(f"wrote {len(save_figures(study, figures))} figures to {figures}")
 
 
 def plan_facts(task: "Task", workers: int | None = None) -> dict[str, Any]:
@@ -468,8 +469,8 @@ def _print_states(name: str, out: Path, states, failed, as_json: bool) -> None:
         print_json({"study": name, "points": states, "failed": {id: a.error for id, a in failed}})
         return
     said = ", ".join(f"{n} {state}" for state, n in states.items() if n)
-    screen.print(f"{name}: {said or 'no points'} ({out})", soft_wrap=True)
+    print_line(f"{name}: {said or 'no points'} ({out})")
     for id, attempt in failed:
         log = out / "jobs" / id / "log.txt"
         log = log if log.is_file() else out / "traffic" / f"{id}.log"
-        screen.print(f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}", soft_wrap=True)
+        print_line(f"failed: {id} ({attempt.outcome}): {attempt.error}; log in {log}")

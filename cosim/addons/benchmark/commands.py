@@ -8,7 +8,7 @@ import typer
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from cosim.cli.console import AsJson, notes, print_json, progress, screen
+from cosim.cli.console import AsJson, print_json, print_line, print_note, progress, screen
 
 if TYPE_CHECKING:
     from cosim.addons.benchmark.evidence import EvidenceSet
@@ -66,9 +66,9 @@ def benchmark(
         screen.print(*_of_attacks(mine), sep="\n")
     if rows or mine:
         screen.print(*_of_models(rows, mine), sep="\n")
-    screen.print(_about(found), soft_wrap=True)
+    print_line(_about(found))
     if remark:
-        notes.print(f"note: {remark}", soft_wrap=True)
+        print_note(f"note: {remark}")
 
 
 def _make(folder: Path | None, model: str | None) -> None:
@@ -83,7 +83,7 @@ def _make(folder: Path | None, model: str | None) -> None:
     with progress() as advance:
         made = record.make(advance)
     made.write(folder)
-    screen.print(f"wrote {folder}: {_about(made)}", soft_wrap=True)
+    print_line(f"wrote {folder}: {_about(made)}")
 
 
 def _about(found: "EvidenceSet") -> str:

@@ -9,7 +9,7 @@ import typer
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from cosim.cli.console import AsJson, notes, print_json, progress, screen
+from cosim.cli.console import AsJson, print_json, print_line, print_note, progress, screen
 
 if TYPE_CHECKING:
     from cosim.addons.compare.facts import Fact
@@ -56,20 +56,19 @@ def compare(
         for one in compared:
             table.add_row(*report.cells(one))
         screen.print(table)
-        screen.print(report.summary(compared), soft_wrap=True)
-        screen.print(f"written: {files[0]}", soft_wrap=True)
+        print_line(report.summary(compared))
+        print_line(f"written: {files[0]}")
     if own:
         n = sum(bool(one.unlike) for one in compared)
-        notes.print(
+        print_note(
             f"note: {n} facts are stated for runs with keys that these runs set otherwise; the page names them. "
-            "Whether the conditions of the other facts hold is for you to say.",
-            soft_wrap=True,
+            "Whether the conditions of the other facts hold is for you to say."
         )
         return
     for line in report.gained(compared):
-        notes.print(line, soft_wrap=True)
+        print_note(line)
     for line in (missing := report.lost(compared)):
-        notes.print(f"lost: {line}", soft_wrap=True)
+        print_note(f"lost: {line}")
     if missing:
         raise typer.Exit(1)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from cosim.cli.console import AsJson, print_json, screen
+from cosim.cli.console import AsJson, print_json, print_line, screen
 
 if TYPE_CHECKING:
     from cosim.addons.explain.lookup import Explanation
@@ -31,23 +31,23 @@ def explain(
         print_json([asdict(entry) for entry in found])
         return
     if len(found) > MOST_SHOWN:
-        screen.print(f"{len(found)} names contain {' '.join(words)!r}:", soft_wrap=True)
+        print_line(f"{len(found)} names contain {' '.join(words)!r}:")
     for entry in found:
         _print(entry, in_full=len(found) <= MOST_SHOWN)
 
 
 def _print(entry: "Explanation", in_full: bool) -> None:
-    screen.print(Text.assemble((entry.name, "bold"), f"  {entry.kind}"), soft_wrap=True)
+    print_line(Text.assemble((entry.name, "bold"), f"  {entry.kind}"))
     if not in_full:
         return
     width = min(screen.width, 100)
     if entry.kind == "command":
-        screen.print(entry.meaning, soft_wrap=True)
+        print_line(entry.meaning)
     else:
         indent = "  "
-        screen.print(fill(entry.meaning, width, initial_indent=indent, subsequent_indent=indent), soft_wrap=True)
+        print_line(fill(entry.meaning, width, initial_indent=indent, subsequent_indent=indent))
     if entry.where:
-        screen.print(f"  {entry.where}", soft_wrap=True)
+        print_line(f"  {entry.where}")
 
 
 def cite(
@@ -62,7 +62,7 @@ def cite(
 
     used = parts_of_all([open_run(folder, unfinished=True).manifest for folder in runs_of(run)])
     if as_bibtex:
-        screen.print(bibtex(used), soft_wrap=True)
+        print_line(bibtex(used))
         return
     known = references()
     found = []
@@ -73,6 +73,6 @@ def cite(
         print_json([{"part": what, "references": lines} for what, lines in found])
         return
     for what, lines in found:
-        screen.print(Text(what, style="bold"), soft_wrap=True)
+        print_line(Text(what, style="bold"))
         for line in lines or ["no publication"]:
-            screen.print(f"  {line}", soft_wrap=True)
+            print_line(f"  {line}")

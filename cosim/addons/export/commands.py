@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.console import AsJson, notes, print_done, progress
+from cosim.cli.console import AsJson, print_done, print_note, progress
 
 
 def export(
@@ -52,7 +52,7 @@ def export(
     written = f"{done['files']:,} files, {done['bytes'] / 1e6:,.1f} MB"
     print_done(done, f"wrote {written}, in {done['out']}", as_json)
     for remark in done["remarks"]:
-        notes.print(f"note: {remark}", soft_wrap=True)
+        print_note(f"note: {remark}")
 
 
 def view(

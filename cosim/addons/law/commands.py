@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_json, print_table, progress, screen
+from cosim.cli.console import AsJson, TrustCode, print_json, print_line, print_note, print_table, progress
 from cosim.cli.help import Commands
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def freshness(
     if against is not None and (others := differences(against, asked)):  # before minutes of computing
         more = f", and {len(others) - 9} more" if len(others) > 9 else ""
         said = ", ".join(others[:9])
-        notes.print(f"note: {against} was measured with another config: {said}{more}.", soft_wrap=True)
+        print_note(f"note: {against} was measured with another config: {said}{more}.")
     inputs: dict[str, float] = {}
     found: list[tuple[Any, Prediction]]
     with progress() as advance:
@@ -105,11 +105,11 @@ def freshness(
         print_json({"inputs": inputs, "neglected": neglected, "rows": rows_of(found, measured)})
         return
     for line in neglected:
-        notes.print(f"note: neglected: {line}", soft_wrap=True)
+        print_note(f"note: neglected: {line}")
     print_table(_table(found, measured))
     if inputs:
         said = ", ".join(f"{name} {value:.3g}" for name, value in inputs.items())
-        screen.print(f"measured from traffic: {said}", soft_wrap=True)
+        print_line(f"measured from traffic: {said}")
 
 
 def _study_of(path: Path | None, trust_code: bool) -> Any:
@@ -132,7 +132,7 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
     head = {"made": datetime.now(UTC).isoformat(timespec="seconds"), **source()}
     write_output(path, (json.dumps(head | content, indent=1) + "\n").encode())
-    notes.print(f"wrote {path}", soft_wrap=True)
+    print_note(f"wrote {path}")
 
 
 def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
@@ -152,7 +152,7 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
         values = ", ".join(f"{p.metrics[name]:.3g}" for name in names)
         head.append(f"# {point}: {values}")
     write_output(path, ("\n".join(head) + "\n\n" + study.to_toml()).encode())
-    screen.print(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER", soft_wrap=True)
+    print_line(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER")
 
 
 def _table(found: Points, measured: list[dict[str, float]] | None) -> Table:
@@ -197,4 +197,4 @@ def _draw(
         variants = [p.variant for _, p in found]
         simulation = [] if against is None else law.measured(against, variants)
         figure = law.draw(curves, simulation)
-    notes.print(f"wrote {style.save(figure, path)}", soft_wrap=True)
+    print_note(f"wrote {style.save(figure, path)}")

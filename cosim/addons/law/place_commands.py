@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.cli.console import AsJson, TrustCode, notes, print_json, progress, screen
+from cosim.cli.console import AsJson, TrustCode, print_json, print_note, progress, screen
 from cosim.cli.help import Commands
 
 place = Commands(help="Choose places for roadside units from traffic alone.")
@@ -89,4 +89,4 @@ def roadside(
     if experiment.roadside:
         where = "in place of [[roadside]] in the config: the units that it has do not count here"
     placed = f"{len(rows)} of {len(sites)} junctions, {how}"
-    notes.print(f"{placed}. Put the section {where}.", soft_wrap=True)
+    print_note(f"{placed}. Put the section {where}.")

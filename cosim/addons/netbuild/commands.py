@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cosim.cli.console import AsJson, notes, print_done
+from cosim.cli.console import AsJson, notes, print_done, print_note
 from cosim.cli.nets import PICTURE, draw, print_facts, summary
 
 
@@ -64,7 +64,7 @@ def build(
         else:
             losses = build_from_osm.from_box(bbox or "", out, wanted, name, left_hand, overpass)
     if losses.side:
-        notes.print(losses.side, soft_wrap=True)
+        print_note(losses.side)
     net = catalogue.open_folder(out)
     picture = draw(find(str(out)), out / PICTURE)
     facts = summary(net) | {"buildings": len(net.footprints()), "picture": str(picture)}

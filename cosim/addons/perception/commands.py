@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from cosim.cli.console import AsJson, notes, print_json, screen
+from cosim.cli.console import AsJson, print_json, print_line, print_note, screen
 from cosim.cli.help import MORE
 
 
@@ -53,7 +53,7 @@ def evaluate(
     )
     rows = table.astype(object).where(table.notna(), None).to_dict("records")
     for remark in about["remarks"]:
-        notes.print(f"note: {remark}", soft_wrap=True)
+        print_note(f"note: {remark}")
     if as_json:
         print_json(about | {"rows": rows})
         return
@@ -61,9 +61,9 @@ def evaluate(
     from rich.table import Table
 
     for line in _read_lines(about):
-        screen.print(line, soft_wrap=True)
+        print_line(line)
     if not rows:
-        screen.print(about["missing"], soft_wrap=True)
+        print_line(about["missing"])
         return
     shown = Table(*table.columns, box=SIMPLE)
     for row in rows:

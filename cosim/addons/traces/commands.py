@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cosim.cli.console import AsJson, TrustCode, notes, plain, print_facts, print_json, progress, rows_of
+from cosim.cli.console import AsJson, TrustCode, plain, print_facts, print_json, print_note, progress, rows_of
 from cosim.cli.help import MORE
 
 if TYPE_CHECKING:
@@ -216,9 +216,9 @@ def _print_counted(folder: Path, as_json: bool) -> None:
 
     run = open_run(folder)
     for remark in trace_remarks(run.manifest["summary"]):
-        notes.print(remark, soft_wrap=True)
+        print_note(remark)
     if coarse := _coarse(run):
-        notes.print(coarse, soft_wrap=True)
+        print_note(coarse)
     measures = measure(run, topics=("traffic", "encounters"))
     if as_json:
         print_json({"run": str(folder), "summary": run.manifest["summary"], "measures": rows_of(measures)})
@@ -236,7 +236,7 @@ def _print_counted(folder: Path, as_json: bool) -> None:
     print_facts(lines)
     if repaired := run.manifest["summary"].get("repaired"):
         said = ", ".join(f"{n:,} {reason}" for reason, n in repaired.items())
-        notes.print(f"note: rows left out or sorted: {said}.", soft_wrap=True)
+        print_note(f"note: rows left out or sorted: {said}.")
 
 
 def _coarse(run: "OpenRun") -> str:

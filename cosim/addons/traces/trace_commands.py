@@ -25,7 +25,7 @@ from cosim.addons.traces.commands import (
     columns_of,
     found_lines,
 )
-from cosim.cli.console import AsJson, notes, print_done
+from cosim.cli.console import AsJson, print_done, print_note
 from cosim.traffic.params import SHORTEST_STEP_S
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def trace(
     report = write_trace(fixes, tracks.TrackParams(step_s, max_gap_s, max_speed_mps), out)
     if fixes.repaired:
         said = [f"{n:,} {reason}" for reason, n in fixes.repaired.items()]
-        notes.print(f"note: rows left out or sorted: {', '.join(said)}.", soft_wrap=True)
+        print_note(f"note: rows left out or sorted: {', '.join(said)}.")
     drive = f"traffic.scenario={out}" if scenario is None else f"traffic.scenario={scenario} --set traffic.trace={out}"
     size = f"{report['actors']:,} vehicles, {report['steps']:,} steps of {step_s:g} s"
     begin = "" if fixes.begin == "0" else f" from {fixes.begin} s of the positions on, which is time 0"

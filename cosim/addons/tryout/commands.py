@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from cosim.cli.console import AsJson, plain, print_json, screen
+from cosim.cli.console import AsJson, plain, print_json, print_line
 
 Kind = Literal["trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric"]
 
@@ -35,9 +35,9 @@ def new(
     except OSError as error:
         raise ValueError(f"{path} cannot be written: {error.strerror or error}. Give another name.") from None
     name = f"{path}:My{kind.capitalize()}"
-    screen.print(f"wrote {path}", soft_wrap=True)
-    screen.print(f"check it:  cosim try {shlex.quote(name)}", soft_wrap=True)
-    screen.print(f"use it:    {_use(kind, name)}", soft_wrap=True)
+    print_line(f"wrote {path}")
+    print_line(f"check it:  cosim try {shlex.quote(name)}")
+    print_line(f"use it:    {_use(kind, name)}")
 
 
 def _use(kind: str, name: str) -> str:
@@ -81,10 +81,10 @@ def try_(
         )
     else:
         for one in report.findings:
-            screen.print(f"{'broken' if one.broken else 'ok':<8}{one.law}", soft_wrap=True)
+            print_line(f"{'broken' if one.broken else 'ok':<8}{one.law}")
             if one.broken:
-                screen.print(f"        {one.broken}", soft_wrap=True)
+                print_line(f"        {one.broken}")
         if report.cost_us == report.cost_us:
-            screen.print(f"cost    {plain(report.cost_us)} microseconds per vehicle and call", soft_wrap=True)
+            print_line(f"cost    {plain(report.cost_us)} microseconds per vehicle and call")
     if not report.holds:
         raise typer.Exit(1)
