@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 STOREY_M = 3.5
@@ -14,81 +16,7 @@ CLEARANCE_M = 4.5
 TALLEST_M = 900.0
 """Larger heights are taken for typing errors; the tallest building is 828 m tall."""
 
-_BY_KIND_M: dict[str, float] = {
-    "church": 25.0,
-    "cathedral": 40.0,
-    "chapel": 12.0,
-    "mosque": 15.0,
-    "synagogue": 15.0,
-    "temple": 12.0,
-    "tower": 25.0,
-    "water_tower": 30.0,
-    "silo": 15.0,
-    "storage_tank": 10.0,
-    "transformer_tower": 8.0,
-    "kiosk": 3.0,
-    "shed": 3.0,
-    "hut": 3.0,
-    "garage": 3.0,
-    "garages": 3.0,
-    "toilets": 3.0,
-    "service": 3.5,
-    "carport": 3.0,
-    "cabin": 3.5,
-    "static_caravan": 3.0,
-    "allotment_house": 3.0,
-    "container": 3.0,
-    "tent": 3.0,
-    "outbuilding": 3.0,
-    "conservatory": 3.0,
-    "bunker": 3.0,
-    "ruins": 3.0,
-    "underpass_entrance": 3.0,
-    "subway_entrance": 3.0,
-    "pavilion": 5.0,
-    "greenhouse": 4.0,
-    "glasshouse": 4.0,
-    "ship": 6.0,
-    "houseboat": 4.0,
-    "roof": 5.5,
-    "canopy": 5.5,
-    "bridge": 7.0,
-    "house": 7.0,
-    "detached": 7.0,
-    "terrace": 8.0,
-    "semidetached_house": 7.0,
-    "bungalow": 4.5,
-    "farm": 7.0,
-    "barn": 7.0,
-    "farm_auxiliary": 6.0,
-    "stable": 5.0,
-    "cowshed": 6.0,
-    "sty": 4.0,
-    "industrial": 9.0,
-    "warehouse": 9.0,
-    "manufacture": 9.0,
-    "hangar": 10.0,
-    "supermarket": 6.0,
-    "sports_hall": 9.0,
-    "grandstand": 10.0,
-    "stadium": 20.0,
-    "kindergarten": 5.0,
-    "fire_station": 7.0,
-    "parking": 10.5,
-    "train_station": 10.5,
-    "atrium": 14.0,
-    "apartments": 21.0,
-    "residential": 21.0,
-    "office": 21.0,
-    "commercial": 17.5,
-    "retail": 14.0,
-    "hotel": 24.5,
-    "university": 17.5,
-    "school": 14.0,
-    "public": 17.5,
-    "civic": 17.5,
-    "block": 21.0,
-}
+_BY_KIND_M: dict[str, float] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
 """Kinds that stand on posts."""
 _UNIT_M = {**dict.fromkeys(("ft", "feet", "foot", "'", "′", "’"), 0.3048), "cm": 0.01, "km": 1000.0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable
 from itertools import pairwise
 from math import nan
@@ -19,100 +20,10 @@ class VehicleType(NamedTuple):
     lwh_m: tuple[float, float, float]
 
 
-_CAR = (5.0, 1.8, 1.5)
-_VAN = (6.5, 2.16, 2.86)
-SIZES_M = {
-    **dict.fromkeys(
-        (
-            "ignoring",
-            "private",
-            "authority",
-            "army",
-            "vip",
-            "passenger",
-            "hov",
-            "taxi",
-            "evehicle",
-            "custom1",
-            "custom2",
-            "cable_car",
-        ),
-        _CAR,
-    ),
-    "emergency": _VAN,
-    "delivery": _VAN,
-    "bus": (12.0, 2.5, 3.4),
-    "coach": (14.0, 2.6, 4.0),
-    "tram": (22.0, 2.4, 3.2),
-    "truck": (7.1, 2.4, 2.4),
-    "trailer": (16.5, 2.55, 4.0),
-    "rail_urban": (109.5, 3.0, 3.6),
-    "subway": (109.5, 3.0, 3.6),
-    "rail": (135.0, 2.84, 3.75),
-    "rail_electric": (200.0, 2.95, 3.89),
-    "rail_fast": (200.0, 2.95, 3.89),
-    "motorcycle": (2.2, 0.9, 1.5),
-    "moped": (2.1, 0.78, 1.7),
-    "bicycle": (1.6, 0.65, 1.7),
-    "scooter": (1.2, 0.5, 1.7),
-    "pedestrian": (0.215, 0.478, 1.719),
-    "wheelchair": (1.2, 0.72, 1.2),
-    "ship": (17.0, 4.0, 4.0),
-    "container": (6.096, 2.438, 2.591),
-    "aircraft": (72.7, 79.8, 1.5),
-    "drone": (0.5, 0.5, 1.5),
-}
-"""Length, width and height that SUMO 1.28 gives to a class by default [m]."""
-
-_DEFAULT = {
-    "DEFAULT_VEHTYPE": "passenger",
-    "DEFAULT_PEDTYPE": "pedestrian",
-    "DEFAULT_BIKETYPE": "bicycle",
-    "DEFAULT_CONTAINERTYPE": "container",
-    "DEFAULT_TAXITYPE": "taxi",
-    "DEFAULT_RAILTYPE": "rail",
-}
-_NAMED = {
-    "truck_bus": "truck",
-    "heavy vehicle": "truck",
-    "medium vehicle": "delivery",
-    "power two wheeler": "motorcycle",
-    "pedestrian/bicycle": "bicycle",
-}
-"""Classes of recorded data sets (inD, pNEUMA, openDD, INTERACTION) whose words alone would say something else."""
-_WORDS = {
-    "motorcycle": "motorcycle",
-    "motorbike": "motorcycle",
-    "motorcyclist": "motorcycle",
-    "moped": "moped",
-    "bicycle": "bicycle",
-    "bike": "bicycle",
-    "ebike": "bicycle",
-    "cyclist": "bicycle",
-    "coach": "coach",
-    "bus": "bus",
-    "trailer": "trailer",
-    "truck": "truck",
-    "lorry": "truck",
-    "hgv": "truck",
-    "lkw": "truck",
-    "delivery": "delivery",
-    "van": "delivery",
-    "emergency": "emergency",
-    "tram": "tram",
-    "subway": "subway",
-    "rail": "rail",
-    "train": "rail",
-    "ship": "ship",
-    "container": "container",
-    "taxi": "taxi",
-    "ped": "pedestrian",
-    "pedestrian": "pedestrian",
-    "person": "pedestrian",
-    "walk": "pedestrian",
-    "walker": "pedestrian",
-}
-"""Word of a type's name, and the class that it suggests; the first match is used."""
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+SIZES_M: dict[str, tuple[float, float, float]] = {vclass: tuple(size) for vclass, size in _TABLES["size_m"].items()}
+"""Length, width and height that SUMO gives to a class by default [m]."""
+_DEFAULT, _NAMED, _WORDS = _TABLES["default"], _TABLES["named"], _TABLES["word"]
 _NAMES = (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car")
 _PLAIN = frozenset(map(str.lower, _NAMES))
 
@@ -148,7 +59,7 @@ def read(paths: Iterable[Path]) -> dict[str, VehicleType]:
         def start(name: str, attributes: Attributes, path: Path = path) -> None:
             if name == "vType":
                 vclass = attributes.get("vClass", "passenger")
-                usual = zip(("length", "width", "height"), SIZES_M.get(vclass, _CAR), strict=True)
+                usual = zip(("length", "width", "height"), SIZES_M.get(vclass, SIZES_M["passenger"]), strict=True)
                 where = f"{path}: vType {attributes.get('id', '?')!r}"
                 sizes = []
                 for what, size in usual:
