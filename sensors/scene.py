@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -55,35 +57,8 @@ _CLASS_OF = {
 LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([_CLASS_OF[shape] for shape in Shape], np.uint8)
 """`ObjectClass` of each `Shape`."""
 
-# One upright prism: (rear, front) of the length from the centre, share of the width, (bottom, top) share of the height.
-# Bodies keep a few centimetres inside the labelled box, as real ones do, and stand on the road: wheels and
-# skirts fill the clearance. Proportions: typical European vehicles, read off manufacturers' side views.
-# A shape may have several bodies, each from a length on.
-_Part = tuple[float, float, float, float, float]
-_STACKS: dict[Shape, dict[float, tuple[_Part, ...]]] = {
-    Shape.CAR: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.56), (-0.40, 0.18, 0.84, 0.56, 0.98))},
-    Shape.VAN: {0.0: ((-0.49, 0.49, 0.95, 0.0, 0.50), (-0.49, 0.30, 0.92, 0.50, 0.99))},
-    Shape.TRUCK: {
-        0.0: ((0.28, 0.495, 0.96, 0.0, 0.82), (-0.495, 0.26, 0.98, 0.0, 0.99)),
-        # a tractor's cab and frame, and its trailer: 16.5 m at most by law in Europe
-        12.5: (
-            (0.355, 0.495, 0.96, 0.0, 0.92),
-            (0.12, 0.355, 0.90, 0.0, 0.30),
-            (-0.495, 0.325, 0.98, 0.28, 0.99),
-            (-0.48, -0.15, 0.95, 0.0, 0.28),
-        ),
-    },
-    Shape.BUS: {
-        0.0: ((-0.495, 0.495, 0.98, 0.0, 0.99),),
-        # articulated: two bodies and the bellows between them
-        15.0: ((0.02, 0.495, 0.98, 0.0, 0.99), (-0.06, 0.02, 0.86, 0.1, 0.95), (-0.495, -0.06, 0.98, 0.0, 0.99)),
-    },
-    Shape.MOTORCYCLE: {0.0: ((-0.48, 0.48, 0.40, 0.0, 0.55), (-0.25, 0.12, 0.80, 0.40, 0.98))},
-    Shape.BICYCLE: {0.0: ((-0.48, 0.48, 0.20, 0.0, 0.50), (-0.22, 0.12, 0.80, 0.40, 0.98))},
-    Shape.PEDESTRIAN: {0.0: ((-0.30, 0.30, 0.90, 0.0, 0.82), (-0.22, 0.22, 0.40, 0.82, 0.98))},
-    Shape.ROADSIDE_UNIT: {0.0: ()},
-}
-_BODIES = [(shape, *body) for shape in Shape for body in _STACKS[shape].items()]
+_STACKS = tomllib.loads(Path(__file__).with_name("bodies.toml").read_text(encoding="utf-8"))
+_BODIES = [(shape, body["from_m"], body["prisms"]) for shape in Shape for body in _STACKS[shape.name.lower()]]
 _PARTS = np.array([part for *_, stack in _BODIES for part in stack])
 _FIRST_PART = np.cumsum([0] + [len(stack) for *_, stack in _BODIES])
 """Row of `_PARTS` at which the prisms of each body begin."""
