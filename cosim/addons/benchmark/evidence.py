@@ -8,6 +8,7 @@ perception message (ETSI TS 103 324).
 
 import hashlib
 import json
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,94 +32,19 @@ Rows = Mapping[str, ndarray]
 """Columns of a table, sorted by its key."""
 
 
-class EvidenceColumn(NamedTuple):
-    """A column of a table."""
+class EvidenceTable(NamedTuple):
+    """A table of the set. `evidence.toml` says what the columns mean."""
 
-    type: str
-    unit: str
-    meaning: str
-
-
-@dataclass(frozen=True, slots=True)
-class EvidenceTable:
-    """A table of the set."""
-
-    meaning: str
-    columns: Mapping[str, EvidenceColumn]
-    n_keys: int
-    """Number of columns, from the first one on, that identify a row of one case."""
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Names of these columns."""
-        return tuple(self.columns)[: self.n_keys]
-
-    @property
-    def dtypes(self) -> dict[str, type]:
-        """Type of each column in memory."""
-        return {name: _DTYPES[column.type] for name, column in self.columns.items()}
+    keys: tuple[str, ...]
+    """The columns that identify a row of one case, which come first."""
+    columns: Mapping[str, type]
+    """Type of each column in memory."""
 
 
-def _key(meaning: str) -> EvidenceColumn:
-    return EvidenceColumn("int16", "", meaning)
-
-
-_STEP, _PSEUDONYM = "Step of the message.", "Pseudonym, numbered within the world."
-TABLES: Mapping[str, EvidenceTable] = {
-    "detections": EvidenceTable(
-        "Detections as transmitted.",
-        {
-            "step": _key(_STEP),
-            "observer": _key(_PSEUDONYM),
-            "detection_index": _key("Number within the message."),
-            "score": EvidenceColumn("int8", "%", "Score of the detection."),
-        },
-        3,
-    ),
-    "reports": EvidenceTable(
-        "Messages with evaluations.",
-        {
-            "step": _key(_STEP),
-            "evaluator": _key(_PSEUDONYM),
-            "arrival_step": _key("Step at whose beginning the trust server has it; -1 if it is lost."),
-        },
-        2,
-    ),
-    "evaluations": EvidenceTable(
-        "Evaluations as transmitted, of detections that the evaluator could see or claims to.",
-        {
-            "step": _key(_STEP),
-            "evaluator": _key(_PSEUDONYM),
-            "detection_step": _key("Step of the message with the detection."),
-            "observer": _key("Sender of the detection."),
-            "detection_index": _key("Number within the observer's message."),
-            "evaluation": EvidenceColumn("int8", "%", "-100 denies, up to 100 confirms."),
-            "visibility": EvidenceColumn("int8", "%", "How well the evaluator could see the place."),
-        },
-        5,
-    ),
-    "lookups": EvidenceTable(
-        "Messages with evaluations that vehicles use when they sense, and for whose senders they look up trust.",
-        {
-            "step": _key("Step of the look-up."),
-            "receiver": _key("Pseudonym of the vehicle that looks up."),
-            "sender": _key("Pseudonym whose trust is looked up."),
-            "message_step": _key("Step of the sender's message."),
-            "broadcast_step": _key("Step of the newest broadcast that the receiver has; -1 for none."),
-        },
-        3,
-    ),
-    "pseudonyms": EvidenceTable(
-        "Ground truth, which no trust model gets.",
-        {
-            "pseudonym": _key(_PSEUDONYM),
-            "vehicle": _key("First pseudonym of its vehicle."),
-            "attacks": EvidenceColumn("int8", "", "1 if its vehicle attacks in all cases but case 0."),
-        },
-        1,
-    ),
-}
-_DTYPES: Mapping[str, type] = {"int8": np.int8, "int16": np.int16}
+TABLES: dict[str, EvidenceTable] = {}
+for _name, _table in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
+    _columns = {column: np.dtype(kind).type for column, kind in _table["columns"].items()}
+    TABLES[_name] = EvidenceTable(tuple(_table["keys"]), _columns)
 _BITS = {"step": 12, "detection_step": 12, "detection_index": 12}
 """Bits of a key column in a packed key; the others are pseudonyms and have `_PSEUDONYM_BITS`."""
 _PSEUDONYM_BITS = 13
@@ -291,7 +217,7 @@ def merged(name: str, rows: Rows) -> Rows:
         assert fits.all(), f"{name}.{c} has more than {most} values"
     order = np.argsort(packed(name, rows), kind="stable")
     ordered = taken(rows, order)
-    dtypes = TABLES[name].dtypes
+    dtypes = TABLES[name].columns
     return {column: ordered[column].astype(dtype) for column, dtype in dtypes.items()}
 
 
@@ -417,7 +343,7 @@ def _place(number: int, about: Any) -> EvidencePlace:
 def _read(folder: Path, name: str) -> Rows:
     """The columns of a table, and no others. What a file says of its size is checked before it is read."""
     wanted: dict[str, type] = {"world": np.int8, "case": np.int8, "gone": np.int8}
-    wanted |= TABLES[name].dtypes
+    wanted |= TABLES[name].columns
     with open_regular(folder / f"{name}.parquet") as opened:
         content = opened.read(_MOST_FILE_BYTES + 1)
     if len(content) > _MOST_FILE_BYTES:
