@@ -15,8 +15,22 @@ N = int(os.environ.get("HOSTILE_N", "60"))
 SEED = int(os.environ.get("HOSTILE_SEED", "1"))
 
 
-def conclude(what: str, counts: Counter[str], wrongs: list[str], cpu_s: float) -> None:
-    """Print how many of which cases there were, and fail where any was wrong."""
-    n = sum(counts.values())
-    print(f"\n{what}, seed {SEED}: {dict(sorted(counts.items()))}, {len(wrongs)} wrong of {n} in {cpu_s:.0f} s")
-    assert not wrongs, "\n".join(wrongs)
+class Tally:
+    """What has become of the cases of a kind."""
+
+    def __init__(self, what):
+        self.what, self.counts, self.wrongs, self.cpu_s = what, Counter(), [], 0.0
+
+    def add(self, kind, ended, case, wrong):
+        """Count how a command ended; print the case where something is wrong with that."""
+        self.counts[f"{kind}, status {ended.status}"] += 1
+        self.cpu_s += ended.cpu_s
+        if wrong:
+            self.wrongs.append(f"{case}: {wrong}")
+            print(self.wrongs[-1], flush=True)
+
+    def conclude(self):
+        """Print how many of which cases there were, and fail where any was wrong."""
+        n, counts = self.counts.total(), dict(sorted(self.counts.items()))
+        print(f"\n{self.what}, seed {SEED}: {counts}, {len(self.wrongs)} wrong of {n} in {self.cpu_s:.0f} s")
+        assert not self.wrongs, "\n".join(self.wrongs)

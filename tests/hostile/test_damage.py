@@ -2,12 +2,11 @@
 
 import random
 import shutil
-from collections import Counter
 
 import pytest
 
 from tests.fingerprint import fingerprint
-from tests.hostile import SEED, N, conclude
+from tests.hostile import SEED, N, Tally
 from tests.hostile.folders import HARMS
 from tests.hostile.scenes import write_trace
 from tests.processes import sets_of_trace
@@ -41,7 +40,7 @@ def test_commands(cosim, tmp_path):
         assert ended.status == 0 and not ended.wrong, (words, ended)
         expected[words] = made(folder, words, ended.out)
         shutil.rmtree(folder)
-    counts, wrongs, cpu_s = Counter(), [], 0.0
+    tally = Tally("commands on damaged folders")
     for number in range(2 * N):
         rng = random.Random(SEED * 30_011 + number)
         shutil.copytree(whole, folder)
@@ -55,10 +54,6 @@ def test_commands(cosim, tmp_path):
             wrong = wrong if "Traceback" in ended.err else ""  # figures of sound tables are shown, then all damage
         elif not wrong and ended.status == 0 and made(folder, words, ended.out) != expected[words]:
             wrong = "something else than of the whole run, and status 0"
-        counts[f"{words[0]}, status {ended.status}"] += 1
-        cpu_s += ended.cpu_s
-        if wrong:
-            wrongs.append(f"{number} {said}; cosim {' '.join(words)}: {wrong}")
-            print(wrongs[-1], flush=True)
+        tally.add(words[0], ended, f"{number} {said}; cosim {' '.join(words)}", wrong)
         shutil.rmtree(folder)
-    conclude("commands on damaged folders", counts, wrongs, cpu_s)
+    tally.conclude()

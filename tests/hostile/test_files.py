@@ -2,12 +2,11 @@
 
 import random
 import shutil
-from collections import Counter
 
 import pytest
 
 from sumo_nets.sumo_options import IGNORED, PASSED, READS, REFUSED
-from tests.hostile import SEED, N, conclude
+from tests.hostile import SEED, N, Tally
 from tests.hostile.scenes import HEAD, trace_rows, write_town
 from tests.hostile.test_runs import judged
 from tests.processes import sets_of_trace
@@ -113,7 +112,7 @@ def hostile_trace(folder, rng):
 def test_scenarios(cosim, tmp_path):
     whole = write_town(tmp_path / "whole", end=12).parent
     (whole / "precious.txt").write_text("mine")
-    counts, wrongs, cpu_s = Counter(), [], 0.0
+    tally = Tally("hostile scenarios")
     for number in range(max(10, N // 2)):
         rng = random.Random(SEED * 10_007 + number)
         folder = tmp_path / "case"
@@ -127,18 +126,14 @@ def test_scenarios(cosim, tmp_path):
         wrong = judged(ended, folder / "run")
         after = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         changed = sorted(n for n in before.keys() | after.keys() - {".out", ".err"} if before.get(n) != after.get(n))
-        counts[f"{harm.__name__}, status {ended.status}"] += 1
-        cpu_s += ended.cpu_s
-        if wrong or changed:
-            wrongs.append(f"{number} {said}: {wrong or changed}")
-            print(wrongs[-1], flush=True)
+        tally.add(harm.__name__, ended, f"{number} {said}", wrong or changed)
         shutil.rmtree(folder)
-    conclude("hostile scenarios", counts, wrongs, cpu_s)
+    tally.conclude()
 
 
 @pytest.mark.verify
 def test_traces(cosim, tmp_path):
-    counts, wrongs, cpu_s = Counter(), [], 0.0
+    tally = Tally("hostile traces")
     for number in range(max(10, N // 2)):
         rng = random.Random(SEED * 20_011 + number)
         folder = tmp_path / "case"
@@ -146,10 +141,6 @@ def test_traces(cosim, tmp_path):
         path, said = hostile_trace(folder, rng)
         ended = cosim("simulate" if number % 5 else "run", *sets_of_trace(path), "--out", "run", cwd=folder)
         wrong = judged(ended, folder / "run")
-        counts[f"{said}, status {ended.status}"] += 1
-        cpu_s += ended.cpu_s
-        if wrong:
-            wrongs.append(f"{number} {said}: {wrong}")
-            print(wrongs[-1], flush=True)
+        tally.add(said, ended, f"{number} {said}", wrong)
         shutil.rmtree(folder)
-    conclude("hostile traces", counts, wrongs, cpu_s)
+    tally.conclude()

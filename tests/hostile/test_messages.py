@@ -1,11 +1,9 @@
 """Hostile messages: dropped and counted, or the part that makes them is named in one line."""
 
-from collections import Counter
-
 import pytest
 
 from results.archive import open_run
-from tests.hostile import SEED, N, conclude
+from tests.hostile import SEED, N, Tally
 from tests.hostile.scenes import write_trace
 from tests.hostile.test_runs import attempt
 from tests.processes import set_words, sets_of_trace
@@ -16,7 +14,7 @@ KINDS = ("content", "content", "content", "rows", "hooks", "many")
 @pytest.mark.verify
 def test_generated(cosim, tmp_path):
     base = sets_of_trace(write_trace(tmp_path))
-    counts, wrongs, cpu_s = Counter(), [], 0.0
+    tally = Tally("hostile messages")
     for number in range(max(12, N)):
         kind = KINDS[number % len(KINDS)]
         case = SEED * 100_003 + number
@@ -24,12 +22,8 @@ def test_generated(cosim, tmp_path):
         ended, wrong = attempt(cosim, base, sets, tmp_path / "one", number % 5 == 0)
         if not wrong and ended.status and (kind in ("content", "many") or "messages.py:" not in ended.err):
             wrong = f"status {ended.status}: {ended.err}"
-        counts[f"{kind}, status {ended.status}"] += 1
-        cpu_s += ended.cpu_s
-        if wrong:
-            wrongs.append(f"{kind} {case}: {wrong}")
-            print(wrongs[-1], flush=True)
-    conclude("hostile messages", counts, wrongs, cpu_s)
+        tally.add(kind, ended, f"{kind} {case}", wrong)
+    tally.conclude()
 
 
 @pytest.mark.verify

@@ -2,13 +2,12 @@
 
 import shutil
 import tomllib
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from results.verify import verify
-from tests.hostile import SEED, N, conclude
+from tests.hostile import SEED, N, Tally
 from tests.hostile.configs import cases
 from tests.hostile.scenes import write_town, write_trace
 from tests.processes import Ended, set_words, sets_of_trace
@@ -60,13 +59,9 @@ def test_kept(cosim, bases, tmp_path, case):
 
 @pytest.mark.verify
 def test_generated(cosim, bases, tmp_path):
-    counts, wrongs, cpu_s = Counter(), [], 0.0
+    tally = Tally("runs with hostile configs")
     for number, sets in enumerate(cases(SEED, N)):
         base = "town" if number % 4 == 3 else "trace"
         ended, wrong = attempt(cosim, bases[base], sets, tmp_path / f"case-{number}", number % 5 == 0)
-        counts[f"{base}, status {ended.status}"] += 1
-        cpu_s += ended.cpu_s
-        if wrong:
-            wrongs.append(f"{base} {[s[:120] for s in sets]}: {wrong}")
-            print(wrongs[-1], flush=True)
-    conclude("runs with hostile configs", counts, wrongs, cpu_s)
+        tally.add(base, ended, f"{base} {[s[:120] for s in sets]}", wrong)
+    tally.conclude()
