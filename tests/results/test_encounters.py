@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from results.encounters import EncounterParams, EncounterTracker
 from results.recorder import Recorder
+from tests.seeds import seeds
 
 NULLS = (
     "gap_s",
@@ -96,7 +97,7 @@ def by_key(rows):
 
 @settings(max_examples=60)
 @given(
-    st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5]), st.sampled_from([0.5, 1.0]), st.booleans()
+    seeds, st.sampled_from([0.0, 0.5, 1.0, 2.0, 3.5]), st.sampled_from([0.5, 1.0]), st.booleans()
 )  # fmt: skip
 def test_twin_on_random_walks(seed, hysteresis_s, dt_s, leaving):
     rng = np.random.default_rng(seed)

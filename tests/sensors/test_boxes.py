@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from shapely import affinity
 
 from sensors.boxes import Boxes, extrapolated, iou_3d, overlapping_pairs
+from tests.seeds import seeds
 from tests.sensors.town import cases, from_camera, random_boxes
 
 
@@ -52,7 +52,7 @@ def test_reference_vectors():
 
 
 @settings(max_examples=20)
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 def test_symmetry_identity_and_rigid_motion(seed):
     rng = np.random.default_rng(seed)
     a, b = random_boxes(rng, 60, 3.0)[0], random_boxes(rng, 60, 3.0)[0]
@@ -71,7 +71,7 @@ def moved(boxes: Boxes, turn: float, shift) -> Boxes:
 
 
 @settings(max_examples=15)
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 def test_overlapping_pairs_are_all_pairs(seed):
     rng = np.random.default_rng(seed)
     boxes, _ = random_boxes(rng, 80)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sensors.boxes import Boxes
 from sensors.line_of_sight import LosOfPlaces, WallIndex, los_between_actors
 from sensors.scene import Scene
+from tests.seeds import seeds
 from tests.sensors.test_boxes import footprint
 from tests.sensors.town import SIZE_M, blocks, car, lines_between, to_scene, traffic
 
@@ -145,7 +145,7 @@ def test_faults_are_named():
 
 
 @settings(max_examples=10)
-@given(seed=st.integers(0, 2**32 - 1))
+@given(seed=seeds)
 def test_los_between_actors_equals_shapely(seed):
     rng = np.random.default_rng(seed)
     (boxes, shape), scene = traffic(rng, 40), blocks(rng)

@@ -5,7 +5,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from sensors.tracking import track as tracking
@@ -13,10 +12,10 @@ from sensors.tracking.motion import existence_gain, expected_speed, mean_motion,
 from sensors.tracking.params import TrackingParams
 from sensors.tracking.track import track
 from sensors.tracking.tracks import Found, Observers, TrackMemory, Tracks
+from tests.seeds import seeds
 from tests.sensors.one_track_at_a_time import StoneSoup, Twin
 
 P = TrackingParams(model="constant_velocity")
-seeds = st.integers(0, 2**32 - 1)
 
 
 def one_track(**changed):

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.seeds import seeds
 from tests.trust.worlds import worlds
 from tests.verification import paper
 from trust.evaluation import evaluate
@@ -198,7 +199,7 @@ def random_step(world, seed, params):
 
 
 @pytest.mark.parametrize("method", get_args(Method))
-@given(world=worlds(), seed=st.integers(0, 2**32 - 1), one_per_vehicle=st.booleans())
+@given(world=worlds(), seed=seeds, one_per_vehicle=st.booleans())
 @settings(max_examples=20)
 def test_twin(method, world, seed, one_per_vehicle):
     params = TrustParams(method=method, one_per_vehicle=one_per_vehicle)
@@ -241,7 +242,7 @@ def test_twin(method, world, seed, one_per_vehicle):
     assert n == fused.score.size
 
 
-@given(world=worlds(), seed=st.integers(0, 2**32 - 1))
+@given(world=worlds(), seed=seeds)
 @settings(max_examples=30)
 def test_code_parity_ignores_trust(world, seed):
     params = TrustParams(method="trupercept_2", code_parity=True)

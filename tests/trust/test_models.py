@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.seeds import seeds
 from tests.trust.histories import (
     COLUMNS,
     add,
@@ -43,7 +44,7 @@ def test_no_evidence_no_row(name):
 
 
 @every_model
-@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@given(world=histories, seed=seeds)
 @settings(max_examples=12)
 def test_order_of_arrival_changes_nothing(name, world, seed):
     """Messages one by one, up to nine steps late, in any order, some twice: bit for bit the same."""
@@ -153,7 +154,7 @@ def test_negative_evidence_follows_eta():
         assert flat.pos.tolist() == pytest.approx([0, 0, 0.4][first:], abs=1e-9)
 
 
-@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@given(world=histories, seed=seeds)
 @settings(max_examples=30)
 def test_sums_by_observer_equal_those_of_the_rows(world, seed):
     _, rows = world
@@ -194,7 +195,7 @@ WINDOWS = [
 ]  # fmt: skip
 
 
-@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@given(world=histories, seed=seeds)
 @settings(max_examples=30)
 def test_shared_evidence_changes_nothing(world, seed):
     """Scores and counters of models that share evidence are those of models of their own, late messages included."""

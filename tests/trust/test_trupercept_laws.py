@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.seeds import seeds
 from tests.trust.histories import COLUMNS, add, histories, messages_from_rows, open_step, values_of
 from tests.verification import paper
 from trust.models.trupercept import TruPercept
@@ -62,7 +63,7 @@ def assert_evaluators(scores, after, by_name, records, weighting):
             assert scores.oldest_evaluation_step[row] == min(made)[0]
 
 
-@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@given(world=histories, seed=seeds)
 @settings(max_examples=40)
 def test_local_scores_equal_as_many_central_ones(world, seed):
     """Scores of each holder equal those of a server that received the same messages."""

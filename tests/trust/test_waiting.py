@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from tests.seeds import seeds
 from tests.trust.histories import assert_same, histories, messages_from_rows, open_step
 from trust.models import MODELS, params_of
 from trust.models.trupercept import TruPercept
@@ -23,7 +23,7 @@ def models(name):
 
 
 @pytest.mark.parametrize("name", [name for name in MODELS if not name.startswith("raya_")])
-@given(world=histories, seed=st.integers(0, 2**32 - 1))
+@given(world=histories, seed=seeds)
 @settings(max_examples=15)
 def test_when_evaluations_are_added_changes_nothing(name, world, seed):
     """A model that is read after each batch, and so adds each batch alone, against one that is read now and then."""

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cosim.addons.trust_models.raya import RayaParams
+from tests.seeds import seeds
 from tests.trust import test_fusion as f
 from tests.trust.worlds import worlds
 from trust.fusion import SensorEvidence, fuse
@@ -81,7 +81,7 @@ def test_a_vehicle_has_one_vote_per_object():
     assert votes == [(0, True, 0.5, 0.5), (0, True, 1.0, 1.0), (1, False, 1.0, 0.5), (1, True, 1.0, 0.25)]
 
 
-@given(world=worlds(), seed=st.integers(0, 2**32 - 1))
+@given(world=worlds(), seed=seeds)
 @settings(max_examples=25)
 def test_twin(world, seed):
     """Votes counted one by one with dictionaries, and the rules as products over them."""

@@ -6,11 +6,12 @@ from hypothesis import strategies as st
 
 from cosim.step.comparing import received_lists
 from cosim.step.known import Uses
+from tests.seeds import seeds
 from trust.tables import ObjectLists
 
 
 @settings(max_examples=40)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 9))
+@given(seed=seeds, n=st.integers(0, 9))
 def test_received_lists(seed, n):
     rng = np.random.default_rng(seed)
     vehicle = np.repeat(np.arange(n), rng.integers(1, 4, n))  # one to three identities each

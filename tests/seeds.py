@@ -1,0 +1,5 @@
+"""Seeds that Hypothesis draws."""
+
+from hypothesis import strategies as st
+
+seeds = st.integers(0, 2**32 - 1)
