@@ -89,24 +89,24 @@ def test_the_model_of_the_page_is_scored_beside_stored_rows(folder):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["bad.py:Raises"], "scores() raised ZeroDivisionError"),
-        (["bad.py:Nan"], "returned trust[0] = nan"),
-        (["bad.py:Silent"], "it rates no vehicle"),
-        (["bad.py:NoModel"], "has no method open_step"),
-        (["bad.py:Missing"], "defines no Missing"),
-        (["nowhere.py:Share"], "no such file"),
-        (["betta"], "no such choice"),
-        (["beta", "--set", "tau=0.2"], "no effect"),
-        (["beta", "--adapt", "--budget", "2"], "--budget 2"),
-        (["beta", "--budget", "2"], "--budget goes with --adapt"),
-        (["--adapt"], "goes with a model"),
-        (["beta", "--all"], "Leave beta out"),
-        (["--make"], "is there already"),
-        (["--make", "beta"], "takes no model"),
+        ("bad.py:Raises", "scores() raised ZeroDivisionError"),
+        ("bad.py:Nan", "returned trust[0] = nan"),
+        ("bad.py:Silent", "it rates no vehicle"),
+        ("bad.py:NoModel", "has no method open_step"),
+        ("bad.py:Missing", "defines no Missing"),
+        ("nowhere.py:Share", "no such file"),
+        ("betta", "no such choice"),
+        ("beta --set tau=0.2", "no effect"),
+        ("beta --adapt --budget 2", "--budget 2"),
+        ("beta --budget 2", "--budget goes with --adapt"),
+        ("--adapt", "goes with a model"),
+        ("beta --all", "Leave beta out"),
+        ("--make", "is there already"),
+        ("--make beta", "takes no model"),
     ],
 )
 def test_wrong_use_is_told_in_one_line(folder, words, told):
-    _, error = call(*words)
+    _, error = call(*words.split())
     assert isinstance(error, ValueError) and not isinstance(error, ExtensionError), error  # exit status 2
     assert told in str(error) and "\n" not in str(error)
 

@@ -284,36 +284,36 @@ def late_trace(begin_s, end_s):
 def test_the_end_is_a_time_of_the_trace_also_where_the_trace_begins_late(tmp_path):
     """From 100 s to 200 s, counted until 150 s: 51 worlds, with and without the begin said."""
     (tmp_path / "late.xml").write_text(late_trace(100, 200))
-    for more in (["--from", "100"], []):
-        done = cosim("contacts", "late.xml", *more, "--to", "150", cwd=tmp_path)
+    for more in ("--from 100", ""):
+        done = cosim("contacts", "late.xml", *more.split(), "--to", "150", cwd=tmp_path)
         assert "51 s in steps of 1 s" in done.stdout
 
 
 BAD = {
-    "no file": (["nothing.csv"], "no such file"),
-    "equipped": (["t.csv", "--pairs", "equipped"], "says nothing of equipment"),
-    "scenario": (["t.csv", "--scenario", "helsinki"], "--scenario goes with a trace that SUMO wrote"),
-    "radius": (["t.csv", "--radius-m", "-3"], "radius_m"),
-    "radius twice": (["t.csv", "--radius-m", "50", "--radius-m", "50"], "the same definition"),
-    "gap": (["t.csv", "--max-gap-s", "nan"], "--max-gap-s nan"),
-    "half of a place": (["t.csv", "--x", "x"], "Name both columns"),
-    "metres and degrees": (["t.csv", "--x", "x", "--lat", "y"], "a trace has one of the two"),
-    "another column": (["t.csv", "--x", "x", "--y", "north"], "no column north"),
-    "config and radius": (["t.csv", "--config", "c.toml", "--radius-m", "5"], "Leave out --radius-m"),
-    "later": (["t.csv", "--from", "900"], "the trace goes from 0 to 9"),
-    "backwards": (["t.csv", "--from", "9", "--to", "2"], "from a time to a later one"),
-    "two of SUMO's": (["a.xml", "b.xml"], "one trace of SUMO's at a time"),
-    "repair of SUMO's": (["a.xml", "--repair"], "--repair: a.xml is a trace that SUMO wrote"),
-    "gap of SUMO's": (["a.xml", "--max-gap-s", "5"], "--max-gap-s: a.xml is a trace that SUMO wrote"),
-    "frames that are times": (["t.csv", "--frame-hz", "25"], "no frame numbers"),
-    "control characters": (["e.csv"], "columns \N{REPLACEMENT CHARACTER}[31mred)"),
-    "no such attribute": (["a.xml"], "no angle of its vehicles"),
-    "degrees of SUMO's": (["g.xml"], "look like degrees"),
-    "a folder": (["."], "not a run"),
-    "units of SUMO's": (["a.xml", "--time-unit", "ms"], "--time-unit: a.xml is a trace that SUMO wrote"),
-    "no such unit": (["t.csv", "--length-unit", "yards"], "--length-unit"),
-    "lines of another time": (["cr.csv"], "its lines end with CR alone"),
-    "over before it begins": (["late.xml", "--to", "50"], "late.xml begins at 100 s, after --to 50"),
+    "no file": ("nothing.csv", "no such file"),
+    "equipped": ("t.csv --pairs equipped", "says nothing of equipment"),
+    "scenario": ("t.csv --scenario helsinki", "--scenario goes with a trace that SUMO wrote"),
+    "radius": ("t.csv --radius-m -3", "radius_m"),
+    "radius twice": ("t.csv --radius-m 50 --radius-m 50", "the same definition"),
+    "gap": ("t.csv --max-gap-s nan", "--max-gap-s nan"),
+    "half of a place": ("t.csv --x x", "Name both columns"),
+    "metres and degrees": ("t.csv --x x --lat y", "a trace has one of the two"),
+    "another column": ("t.csv --x x --y north", "no column north"),
+    "config and radius": ("t.csv --config c.toml --radius-m 5", "Leave out --radius-m"),
+    "later": ("t.csv --from 900", "the trace goes from 0 to 9"),
+    "backwards": ("t.csv --from 9 --to 2", "from a time to a later one"),
+    "two of SUMO's": ("a.xml b.xml", "one trace of SUMO's at a time"),
+    "repair of SUMO's": ("a.xml --repair", "--repair: a.xml is a trace that SUMO wrote"),
+    "gap of SUMO's": ("a.xml --max-gap-s 5", "--max-gap-s: a.xml is a trace that SUMO wrote"),
+    "frames that are times": ("t.csv --frame-hz 25", "no frame numbers"),
+    "control characters": ("e.csv", "columns \N{REPLACEMENT CHARACTER}[31mred)"),
+    "no such attribute": ("a.xml", "no angle of its vehicles"),
+    "degrees of SUMO's": ("g.xml", "look like degrees"),
+    "a folder": (".", "not a run"),
+    "units of SUMO's": ("a.xml --time-unit ms", "--time-unit: a.xml is a trace that SUMO wrote"),
+    "no such unit": ("t.csv --length-unit yards", "--length-unit"),
+    "lines of another time": ("cr.csv", "its lines end with CR alone"),
+    "over before it begins": ("late.xml --to 50", "late.xml begins at 100 s, after --to 50"),
 }
 
 
@@ -336,7 +336,7 @@ def test_misuse_ends_in_one_line_and_nothing_written(tmp_path, what):
     )  # fmt: skip
     (tmp_path / "g.xml").write_text(f"<fcd-export>{moving}</fcd-export>")
     before = sorted(tmp_path.iterdir())
-    done = cosim("contacts", *words, cwd=tmp_path)
+    done = cosim("contacts", *words.split(), cwd=tmp_path)
     assert_refused(done, said)
     assert not [p for p in tmp_path.iterdir() if p not in before and p.name != "runs"]
     assert not list(tmp_path.glob("runs/*"))

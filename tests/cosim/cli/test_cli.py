@@ -120,32 +120,32 @@ FOOTPATH = NET + (
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["run", "--set", "radio.raneg_m=3"], "radio.raneg_m: unknown key"),
-        (["run", "--set", "radio.range_m=-1"], "should be greater than 0"),
-        (["run", "nowhere.toml"], "nowhere.toml: no such config file"),
-        (["run", "--set", "traffic.scenario=atlantis"], "no city of that name"),
-        (["run", "--set", "traffic.scenario=nowhere.sumocfg"], "no such file"),
-        (["run", "--set", "traffic.scenario=footpath.sumocfg"], "no car can drive"),
-        (["run", "--set", "traffic.scenario=lost.sumocfg"], "gone.net.xml"),
-        (["run", "--set", "traffic.scenario=refused.sumocfg"], "SUMO refuses it: Unknown from-node"),
-        (["run", "--out", "taken"], "already holds a run"),
-        (["run", "--out", "full"], "is not empty"),
-        (["run", "--out", "file"], "is a file"),
-        (["run", "--set", "lidar.elevation_deg=[3, 1]"], "lidar.elevation_deg = [3.0, 1.0]: beams must"),
-        (["run", "--set", "lidar.fov_deg=400"], "lidar.fov_deg"),
-        (["run", "--set", "radio.range_m=4e4"], "radio.range_m = 40000.0 should be less than or equal to 32000"),
-        (["run", "--set", "rsu.at=[[1, 1]]"], "rsu.at.0 = [1, 1]: too few values. `cosim explain rsu.at.0`"),
-        (["measure", "full", "--threshold", "7"], "threshold"),
-        (["run", "--frobnicate"], "No such option"),
-        (["nets", "build", "town.osm", "--out", "x"], "takes no more without the name of an option"),
-        (["frobnicate"], "No such command"),
-        (["measure", "nowhere"], "nowhere is not a folder"),
-        (["plot", "trust", "full"], "is not a run"),
-        (["resume", "study"], "study is a study. Continue it with: cosim sweep"),
-        (["plot", "love", "full"], "love"),
-        (["plot", "scene", "full", "--radius-m", "100"], "goes with `cosim plot durations or map`"),
-        (["measure", "full", "./full"], "full is named twice"),
-        (["sweep", "file.toml", "--out", "x"], "file.toml: not valid TOML"),
+        ("run --set radio.raneg_m=3", "radio.raneg_m: unknown key"),
+        ("run --set radio.range_m=-1", "should be greater than 0"),
+        ("run nowhere.toml", "nowhere.toml: no such config file"),
+        ("run --set traffic.scenario=atlantis", "no city of that name"),
+        ("run --set traffic.scenario=nowhere.sumocfg", "no such file"),
+        ("run --set traffic.scenario=footpath.sumocfg", "no car can drive"),
+        ("run --set traffic.scenario=lost.sumocfg", "gone.net.xml"),
+        ("run --set traffic.scenario=refused.sumocfg", "SUMO refuses it: Unknown from-node"),
+        ("run --out taken", "already holds a run"),
+        ("run --out full", "is not empty"),
+        ("run --out file", "is a file"),
+        ("run --set lidar.elevation_deg=[3,1]", "lidar.elevation_deg = [3.0, 1.0]: beams must"),
+        ("run --set lidar.fov_deg=400", "lidar.fov_deg"),
+        ("run --set radio.range_m=4e4", "radio.range_m = 40000.0 should be less than or equal to 32000"),
+        ("run --set rsu.at=[[1,1]]", "rsu.at.0 = [1, 1]: too few values. `cosim explain rsu.at.0`"),
+        ("measure full --threshold 7", "threshold"),
+        ("run --frobnicate", "No such option"),
+        ("nets build town.osm --out x", "takes no more without the name of an option"),
+        ("frobnicate", "No such command"),
+        ("measure nowhere", "nowhere is not a folder"),
+        ("plot trust full", "is not a run"),
+        ("resume study", "study is a study. Continue it with: cosim sweep"),
+        ("plot love full", "love"),
+        ("plot scene full --radius-m 100", "goes with `cosim plot durations or map`"),
+        ("measure full ./full", "full is named twice"),
+        ("sweep file.toml --out x", "file.toml: not valid TOML"),
     ],
 )
 def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
@@ -160,18 +160,18 @@ def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
     before = sorted(tmp_path.rglob("*"))
-    done = cosim(*words, cwd=tmp_path)
+    done = cosim(*words.split(), cwd=tmp_path)
     assert done.returncode == 2
     assert says in done.stderr and "Traceback" not in done.stderr
     assert done.stderr.count("\n") == 1 and done.stdout == ""
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("words", [["measure"], ["report"], ["plot", "trust"], ["verify"], ["resume"]])
+@pytest.mark.parametrize("words", ["measure", "report", "plot trust", "verify", "resume"])
 def test_damage_gets_one_line_and_status_1(tmp_path, words):
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "manifest.json").write_text("{}")
-    done = cosim(*words, "taken", cwd=tmp_path)
+    done = cosim(*words.split(), "taken", cwd=tmp_path)
     said = done.stderr + done.stdout
     assert done.returncode == 1
     assert "manifest.json is damaged" in said and "Traceback" not in said

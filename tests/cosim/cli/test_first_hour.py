@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -38,19 +39,19 @@ def test_init_writes_a_config_that_runs_and_a_study(tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["run", "ages.toml"], "cosim sweep ages.toml"),
-        (["run", "freshness"], "cosim sweep freshness"),
-        (["sweep", "mine.toml", "--out", "x"], "cosim run mine.toml"),
-        (["run", "my.osm.pbf"], "cosim nets build --osm my.osm.pbf --out my"),
-        (["check", "--set", "traffic.scenario=my.osm.pbf"], "my.osm.pbf --out my, cosim run"),
-        (["run", "helsinki"], "--set traffic.scenario=helsinki"),
-        (["predict", "freshness", "helsinki"], "--set traffic.scenario=helsinki"),
-        (["sweep", "my.osm.pbf", "--out", "x"], "cosim nets build --osm my.osm.pbf --out my"),
-        (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration_p=1", "--dry-run"], "the study sweeps"),
-        (["sweep", "ages.toml", "--out", "x", "--set", "fleet.penetration=1", "--dry-run"], "unknown key"),
-        (["check", "ages.toml", "--preset", "moder"], "there is no such preset"),
-        (["sweep", "a run"], "Its config is 'a run'/config.toml."),
-        (["sweep", "swept"], "cosim sweep swept/study.toml --out swept"),
+        ("run ages.toml", "cosim sweep ages.toml"),
+        ("run freshness", "cosim sweep freshness"),
+        ("sweep mine.toml --out x", "cosim run mine.toml"),
+        ("run my.osm.pbf", "cosim nets build --osm my.osm.pbf --out my"),
+        ("check --set traffic.scenario=my.osm.pbf", "my.osm.pbf --out my, cosim run"),
+        ("run helsinki", "--set traffic.scenario=helsinki"),
+        ("predict freshness helsinki", "--set traffic.scenario=helsinki"),
+        ("sweep my.osm.pbf --out x", "cosim nets build --osm my.osm.pbf --out my"),
+        ("sweep ages.toml --out x --set fleet.penetration_p=1 --dry-run", "the study sweeps"),
+        ("sweep ages.toml --out x --set fleet.penetration=1 --dry-run", "unknown key"),
+        ("check ages.toml --preset moder", "there is no such preset"),
+        ("sweep 'a run'", "Its config is 'a run'/config.toml."),
+        ("sweep swept", "cosim sweep swept/study.toml --out swept"),
     ],
 )
 def test_the_wrong_command_names_the_right_one(begun, words, says):
@@ -58,7 +59,7 @@ def test_the_wrong_command_names_the_right_one(begun, words, says):
     for name in ("a run/manifest.json", "swept/study.toml"):
         (begun / name).parent.mkdir(exist_ok=True)
         (begun / name).write_text("")
-    done = cosim(*words, cwd=begun)
+    done = cosim(*shlex.split(words), cwd=begun)
     assert_refused(done, says)
 
 

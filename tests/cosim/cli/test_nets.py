@@ -105,23 +105,23 @@ def test_the_demand_of_a_built_city_is_fitted_to_counts(built):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["counts", "helsinki", "gone.csv", "--out", "x"], "gone.csv: not a CSV file that can be read"),
-        (["counts", "atlantis", "bad.osm", "--out", "x"], "atlantis: not a city"),
-        (["counts", "helsinki", "bad.osm", "--out", "x"], "bad.osm has no rows"),
-        (["show", "atlantis"], "no city of that name"),
-        (["build", "--out", "x"], "needs --osm FILE, --bbox west"),
-        (["build", "--out", "x", "--osm", "gone.osm"], "gone.osm: no such file"),
-        (["build", "--out", "x", "--osm", "bad.osm"], "bad.osm"),
-        (["build", "--out", ".", "--osm", "bad.osm"], "is not empty"),
-        (["build", "--out", "x", "--osm", "bad.osm", "--density", "0"], "--density 0"),
-        (["build", "--out", "x", "--osm", "bad.osm", "--hour", "24"], "--hour 24"),
-        (["build", "--out", "x", "--bbox", "1,2,3"], "four numbers are wanted"),
-        (["list", "gone"], "gone is not a folder"),
+        ("counts helsinki gone.csv --out x", "gone.csv: not a CSV file that can be read"),
+        ("counts atlantis bad.osm --out x", "atlantis: not a city"),
+        ("counts helsinki bad.osm --out x", "bad.osm has no rows"),
+        ("show atlantis", "no city of that name"),
+        ("build --out x", "needs --osm FILE, --bbox west"),
+        ("build --out x --osm gone.osm", "gone.osm: no such file"),
+        ("build --out x --osm bad.osm", "bad.osm"),
+        ("build --out . --osm bad.osm", "is not empty"),
+        ("build --out x --osm bad.osm --density 0", "--density 0"),
+        ("build --out x --osm bad.osm --hour 24", "--hour 24"),
+        ("build --out x --bbox 1,2,3", "four numbers are wanted"),
+        ("list gone", "gone is not a folder"),
     ],
 )
 def test_a_mistake_gets_one_line_and_status_2(tmp_path, words, says):
     (tmp_path / "bad.osm").write_text("<osm>")
-    done = cosim("nets", *words, cwd=tmp_path)
+    done = cosim("nets", *words.split(), cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
     assert says in done.stderr and done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["bad.osm"]
