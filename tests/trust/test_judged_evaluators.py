@@ -9,37 +9,28 @@ from cosim.addons.trust_models.false_discovery import critical, tail
 from cosim.addons.trust_models.prbi import dealt
 from tests.trust.histories import add, build, history, open_step, received_by, trust_of
 from tests.verification import judged_evaluators as literal
+from tests.verification.trust_models import spelled
 from trust.claims import N_OBJECTS, SPEED
 from trust.models import MODELS
 from trust.params import KINDS
 from trust.tables import SERVER, ReceivedEvaluations
 
-CASES = [
-    ("dawid_skene", {}, {}),
-    ("dawid_skene", {"window_s": 2.0, "n_iterations": 3}, {"window_s": 2.0, "n_iterations": 3}),
-    ("dawid_skene_online", {}, {}),
-    ("evaluator_trust", {}, {}),
-    ("evaluator_trust", {"claim_weight": 2.0, "decay_per_s": 0.5}, {"claim": 2.0, "decay": 0.5}),
-    ("self_first", {}, {}),
-    ("median_groups", {}, {}),
-    ("miso_v", {}, {}),
-    ("miso_v", {"n_sources": 3}, {"n_sources": 3}),
-    ("prbi", {}, {}),
-    (
-        "prbi",
-        {"n_vehicles": 2, "least_agreement": 0.8, "memory": 1.0, "missed_p": 0.1},
-        {"n": 2, "epsilon": 0.8, "memory": 1.0, "missed": 0.1},
-    ),
-    ("prbi", {"prior_benign": 0.6, "decay_per_s": 1.0}, {"prior": 0.6, "decay": 1.0}),
-    ("false_discovery", {}, {}),
-    ("false_discovery", {"level": 0.3, "correlation": 0.0}, {"level": 0.3, "k": 0.0}),
-    ("false_discovery", {"present_per_s": 0.5, "decay_per_s": 1.0}, {"present": 0.5, "decay": 1.0}),
-    ("belief_graph", {}, {}),
-    ("belief_graph", {"evidence": KINDS}, {"kinds": KINDS}),
-    ("belief_graph", {"n_sweeps": 3, "prior_honest": 0.6}, {"n_sweeps": 3, "prior": 0.6}),
-]
-"""Parameters by model: ours, and those of the transcription."""
-JUDGING = sorted({name for name, *_ in CASES})
+SETTINGS = {
+    "dawid_skene": [{}, {"window_s": 2.0, "n_iterations": 3}],
+    "dawid_skene_online": [{}],
+    "evaluator_trust": [{}, {"claim_weight": 2.0, "decay_per_s": 0.5}],
+    "self_first": [{}],
+    "median_groups": [{}],
+    "miso_v": [{}, {"n_sources": 3}],
+    "prbi": [
+        {}, {"n_vehicles": 2, "least_agreement": 0.8, "memory": 1.0, "missed_p": 0.1},
+        {"prior_benign": 0.6, "decay_per_s": 1.0},
+    ],
+    "false_discovery": [{}, {"level": 0.3, "correlation": 0.0}, {"present_per_s": 0.5, "decay_per_s": 1.0}],
+    "belief_graph": [{}, {"evidence": KINDS}, {"n_sweeps": 3, "prior_honest": 0.6}],
+}  # fmt: skip
+"""Parameters by model."""
+JUDGING = sorted(SETTINGS)
 
 
 def given(model, step, rows, own):
@@ -52,15 +43,15 @@ def given(model, step, rows, own):
         model.add_evaluations(part)
 
 
-@pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
-def test_twin(name, ours, theirs):
+@pytest.mark.parametrize(("name", "settings"), [(name, one) for name, of in SETTINGS.items() for one in of])
+def test_twin(name, settings):
     """Random streams, with and without evaluations of the holder's own."""
     for seed in range(24):
         frames, rows = history(seed, 1 + seed % 6, 2 + seed % 4)
         own = min(frames[0]) if seed % 2 else None
         dt_s = 1.0 if seed % 3 else 0.5
         grace_s = float(1 + seed % 5)
-        model = build(name, dt_s, grace_s=grace_s, **ours)
+        model = build(name, dt_s, grace_s=grace_s, **settings)
         for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
             open_step(model, step, frame)
             given(model, step, evaluated, own)
@@ -68,7 +59,8 @@ def test_twin(name, ours, theirs):
         if name == "belief_graph":
             sent = [{v: len(scores) for v, scores in frame.items()} for frame in frames]
             more = {"sent": sent, "grace": grace_s}
-        expected = getattr(literal, name)(dict(enumerate(rows)), len(rows) - 1, dt_s, **theirs, **more)
+        steps = dict(enumerate(rows))
+        expected = getattr(literal, name)(steps, len(rows) - 1, dt_s, **spelled(settings), **more)
         scores = model.scores()
         mine = dict(zip(scores.subject.tolist(), scores.trust.tolist(), strict=True))
         if name == "dawid_skene":  # what has left the window has no row

@@ -16,27 +16,20 @@ from tests.verification import trust_models as literal
 from trust.models import MODELS
 
 SETTINGS = {
-    "beta": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5}), ({"decay_per_s": 1.0}, {"decay": 1.0})],
-    "beta_discounted": [({}, {}), ({"decay_per_s": 0.5}, {"decay": 0.5})],
-    "beta_by_kind": [
-        ({}, {}), *(({"evidence": kinds}, {"evidence_of": kinds})
-                    for kinds in (("detections", "speed"), ("detections", "missing", "speed")))
-    ],
-    "beta_correlated": [({}, {}), ({"correlation": 0.9, "decay_per_s": 0.5}, {"k": 0.9, "decay": 0.5})],
-    "subjective_logic": [
-        ({}, {}), *(({"discounting": how}, {"discounting": how}) for how in ("opposite", "none"))
-    ],
-    "mate": [({}, {})],
-    "minhas": [({}, {}), ({"consensus_margin": 0.0, "gain": 0.2}, {"margin": 0.0, "gain": 0.2})],
-    "announcement": [({}, {}), ({"validity_s": 2.5}, {"validity_s": 2.5})],
-    "eigentrust": [({}, {}), ({"restart_p": 0.1}, {"a": 0.1})],
-    "report_count": [({}, {})],
-    "majority_ban": [
-        ({}, {}), ({"ban_strikes": 2, "strike_window_s": 2.0}, {"strikes_to_ban": 2, "window_s": 2.0})
-    ],
-}  # fmt: skip
-"""Parameters by model: ours, and those of the transcription."""
-CASES = [(name, *case) for name, cases in SETTINGS.items() for case in cases]
+    "beta": [{}, {"decay_per_s": 0.5}, {"decay_per_s": 1.0}],
+    "beta_discounted": [{}, {"decay_per_s": 0.5}],
+    "beta_by_kind": [{}, {"evidence": ("detections", "speed")}, {"evidence": ("detections", "missing", "speed")}],
+    "beta_correlated": [{}, {"correlation": 0.9, "decay_per_s": 0.5}],
+    "subjective_logic": [{}, {"discounting": "opposite"}, {"discounting": "none"}],
+    "mate": [{}],
+    "minhas": [{}, {"consensus_margin": 0.0, "gain": 0.2}],
+    "announcement": [{}, {"validity_s": 2.5}],
+    "eigentrust": [{}, {"restart_p": 0.1}],
+    "report_count": [{}],
+    "majority_ban": [{}, {"ban_strikes": 2, "strike_window_s": 2.0}],
+}
+"""Parameters by model."""
+CASES = [(name, own) for name, cases in SETTINGS.items() for own in cases]
 PLAIN = {"denied_share", "mean_score"}
 """Rules of `tests/addons/trust_models/test_plain_rules.py`."""
 
@@ -46,16 +39,16 @@ def test_every_model_has_a_twin():
     assert set(SETTINGS) | set(JUDGING) | scorers | PLAIN | {"trupercept"} == set(MODELS)
 
 
-@pytest.mark.parametrize(("name", "ours", "theirs"), CASES)
+@pytest.mark.parametrize(("name", "own"), CASES)
 @given(world=histories, grace=st.integers(1, 9))
 @settings(max_examples=12)
-def test_twin(name, ours, theirs, world, grace):
+def test_twin(name, own, world, grace):
     frames, rows = world
     for dt_s in (1.0, 0.5):
-        model = build(name, dt_s, grace_s=float(grace), **ours)
+        model = build(name, dt_s, grace_s=float(grace), **own)
         (scores,) = play([model], frames, rows, scores_too=True)
         for now, one in enumerate(scores):
-            theirs_now = getattr(literal, name)(dict(enumerate(rows[: now + 1])), now, dt_s, **theirs)
+            theirs_now = getattr(literal, name)(dict(enumerate(rows[: now + 1])), now, dt_s, **literal.spelled(own))
             mine = dict(zip(one.subject.tolist(), one.trust.tolist(), strict=True))
             if name == "announcement":  # what has expired has no row
                 theirs_now = {i: x for i, x in theirs_now.items() if i in mine or x > 0}

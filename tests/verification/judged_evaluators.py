@@ -330,20 +330,22 @@ def bounded(x):
     return min(max(x, -20.0), 20.0)
 
 
-def belief_graph(steps, now, dt, sent, grace, kinds=("detections",), prior=0.8, coupling=0.5, n_sweeps=12, decay=0.95):
-    edge, form = edges_and_forms(steps, now, dt, sent, 3 if len(kinds) > 1 else 1, decay, grace)
+def belief_graph(
+    steps, now, dt, sent, grace, evidence_of=("detections",), prior=0.8, coupling=0.5, n_sweeps=12, decay=0.95
+):
+    edge, form = edges_and_forms(steps, now, dt, sent, 3 if len(evidence_of) > 1 else 1, decay, grace)
     nodes = sorted({x for pair in edge for x in pair})
-    odds = {(v, role): math.log(prior / (1 - prior)) for v in nodes for role in ("evaluator", *kinds)}
+    odds = {(v, role): math.log(prior / (1 - prior)) for v in nodes for role in ("evaluator", *evidence_of)}
     for v in nodes:
         f = form[v]
         odds[v, "evaluator"] += min(log_ratio(f[0], f[1], 20.0, 0.2), 0)
         drawn = log_beta(8 + f[2], 3.5 + f[3]) - log_beta(8, 3.5) + (f[2] + f[3]) * math.log(2)
         odds[v, "evaluator"] += min(max(drawn, -20.0), 0.0) - min(10 * f[4], 200)
-    factors = [((v, "evaluator"), (v, kind), coupling, 0.0) for v in nodes for kind in kinds]
+    factors = [((v, "evaluator"), (v, kind), coupling, 0.0) for v in nodes for kind in evidence_of]
     for (v, i), of in edge.items():
         honest, liar = dirichlet(of["certain"], (60.0, 1.5)), dirichlet(of["certain"], (0.5, 0.1))
         certain = min(max(honest - add_exp(honest, liar) + math.log(2), -20.0), 0.0)
-        for kind in kinds:
+        for kind in evidence_of:
             both, sender, evaluator = (dirichlet([0.5 * x for x in of[kind]], shape) for shape in SHAPES[kind])
             lies = add_exp(math.log(0.8) + both, math.log(0.2) + evaluator)
             more = certain if kind == "detections" else 0.0
@@ -361,14 +363,14 @@ def belief_graph(steps, now, dt, sent, grace, kinds=("detections",), prior=0.8, 
             at[factors[f][end]] += x
     out = {}
     for i in known(steps):
-        total = {kind: [0.0] * len(SHAPES[kind][0]) for kind in kinds}
+        total = {kind: [0.0] * len(SHAPES[kind][0]) for kind in evidence_of}
         for (v, j), of in edge.items():
-            for kind in kinds if j == i else ():
+            for kind in evidence_of if j == i else ():
                 believed = sigmoid(at[v, "evaluator"])
                 total[kind] = [x + believed * 0.5 * y for x, y in zip(total[kind], of[kind], strict=True)]
         confirmed, _, jointly, single = total["detections"]
         out[i] = sigmoid(at[i, "evaluator"]) * ((30 + confirmed) / (35 + confirmed + jointly + single)) ** 2
-        for kind in kinds[1:]:
+        for kind in evidence_of[1:]:
             gain = dirichlet(total[kind], SHAPES[kind][0]) - dirichlet(total[kind], SHAPES[kind][1])
             out[i] *= sigmoid(math.log(9) + min(gain, 1.0))
     return out

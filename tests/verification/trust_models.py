@@ -7,6 +7,19 @@ step `now`. Steps are `dt` seconds long; eta is -1.
 import math
 from collections import defaultdict
 
+SPELLED = {
+    "decay_per_s": "decay", "correlation": "k", "evidence": "evidence_of", "consensus_margin": "margin",
+    "restart_p": "a", "ban_strikes": "strikes_to_ban", "strike_window_s": "window_s", "claim_weight": "claim",
+    "n_vehicles": "n", "least_agreement": "epsilon", "missed_p": "missed", "prior_benign": "prior",
+    "prior_honest": "prior", "present_per_s": "present",
+}  # fmt: skip
+"""Parameters that have other names in the transcriptions, as in the papers."""
+
+
+def spelled(own):
+    """Parameters of a model as its transcription takes them."""
+    return {SPELLED.get(name, name): value for name, value in own.items()}
+
 
 def evidence(rows):
     """(evaluator, subject, index, pos, neg) of the evaluations that count: by others, for or against."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.attacks.params import AttackParams, rings_too_large
-from cosim.config.config import resolve_data
+from cosim.config.config import load, resolve_data
 from tests.cosim.attacks.plain import NAMES, SPACING_M, N, play
 
 LIARS = ["v00", "v07", "v15", "v23"]
@@ -135,26 +135,26 @@ def test_newcomers_change_after_a_time():
     assert mine.groupby("vehicle").from_step.apply(list).tolist() == [[0, 3, 6, 9]] * len(LIARS)
 
 
-@pytest.mark.parametrize(("sections", "told"), [
-    ({"attacks": [{"share_p": 0.6}, {"share_p": 0.6}]}, "sum to 1.2, more than all equipped vehicles"),
-    ({"attacks": [{"ids": ["a", "b"], "ring_size": 3}]}, "ring_size = 3 is larger than its 2 attackers"),
-    ({"attacks": [{"when": "on_off", "period_s": 0.5}]}, "a period of 0.5 s is shorter than one step of 1 s"),
-    ({"attacks": [{"when": "on_off", "period_windows": 0.5}], "trust": {"freshness_s": 1.0}}, "period of 0.5 s"),
-    ({"attacks": [{"when": "on_off", "period_windows": 1.0}], "trust": {"freshness_s": "off"}}, "there are no windows"),
-    ({"attacks": [{"attack": "gohst"}]}, 'attacks.attack = "gohst": no such choice'),
-    ({"attacks": [{"attack": "offset", "min_m": 9.0, "max_m": 3.0}]}, "min_m = 9 m is above attacks.max_m = 3 m"),
-    ({"attacks": [{"attack": "offset", "ghosts": "car"}]}, "attacks.0.ghosts: unknown key"),
-    ({"attacks": [{"victim": "one"}]}, "Set attacks.0.victim_id"),
-    ({"attacks": [{"victim_id": "v1"}]}, 'used only with victim = "one"'),
-    ({"attacks": [{"together_with": 0}]}, "no earlier section"),
-    ({"attacks": [{"ids": ["a"]}, {"ids": ["a"]}]}, '"a" stands in ids twice'),
-    ({"attacks": [{"when": "camouflage"}], "trust": {"host": "local"}}, 'trust.host = "local"'),
-    ({"attacks": [], "pseudonyms": {"linkage": "server"}, "trust": {"host": "local"}}, "needs a trust server"),
-    ({"attacks": [], "pseudonyms": {"revocation": "list"}, "trust": {"host": "none"}}, "decided by the trust server"),
+@pytest.mark.parametrize(("sets", "told"), [
+    ("attacks.0.share_p=0.6 attacks.1.share_p=0.6", "sum to 1.2, more than all equipped vehicles"),
+    ('attacks.0.ids=["a","b"] attacks.0.ring_size=3', "ring_size = 3 is larger than its 2 attackers"),
+    ("attacks.0.when=on_off attacks.0.period_s=0.5", "a period of 0.5 s is shorter than one step of 1 s"),
+    ("attacks.0.when=on_off attacks.0.period_windows=0.5 trust.freshness_s=1.0", "period of 0.5 s"),
+    ("attacks.0.when=on_off attacks.0.period_windows=1 trust.freshness_s=off", "there are no windows"),
+    ("attacks.0.attack=gohst", 'attacks.attack = "gohst": no such choice'),
+    ("attacks.0.attack=offset attacks.0.min_m=9 attacks.0.max_m=3", "min_m = 9 m is above attacks.max_m = 3 m"),
+    ("attacks.0.attack=offset attacks.0.ghosts=car", "attacks.0.ghosts: unknown key"),
+    ("attacks.0.victim=one", "Set attacks.0.victim_id"),
+    ("attacks.0.victim_id=v1", 'used only with victim = "one"'),
+    ("attacks.0.together_with=0", "no earlier section"),
+    ('attacks.0.ids=["a"] attacks.1.ids=["a"]', '"a" stands in ids twice'),
+    ("attacks.0.when=camouflage trust.host=local", 'trust.host = "local"'),
+    ("attacks=[] pseudonyms.linkage=server trust.host=local", "needs a trust server"),
+    ("attacks=[] pseudonyms.revocation=list trust.host=none", "decided by the trust server"),
 ])  # fmt: skip
-def test_mistakes_are_one_line(sections, told):
+def test_mistakes_are_one_line(sets, told):
     with pytest.raises(ValueError) as error:
-        resolve_data({"encounters": [{}], **sections}, "a test", None)
+        load(None, sets.split())
     assert told in str(error.value) and "\n" not in str(error.value)
 
 
