@@ -29,7 +29,6 @@ from cosim.radio.propagation import fading_quantiles
 
 SIFS_NS = 32_000
 SLOT_NS = 13_000
-_SEQ_MASK = np.uint64((1 << 40) - 1)
 EIFS_NS = 120_000
 """Extra idle time after a frame received with errors [ns]: SIFS and an acknowledgement at the lowest rate."""
 
@@ -125,16 +124,11 @@ class Links:
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)
-        is_whole = len(self.ptr) == n + 1
-        is_whole = is_whole and self.ptr[0] == 0 and self.ptr[-1] == m
-        if not is_whole or np.any(np.diff(self.ptr) < 0):
-            raise ValueError(f"links.ptr must rise from 0 to the number of links ({m}) in {n + 1} steps.")
-        if len(self.power_mw) != m or len(self.fading) != m:
-            raise ValueError("links.receiver, power_mw and fading must be of one length.")
-        first, last = self.receiver.min(initial=0), self.receiver.max(initial=-1)
-        n_classes = len(fading_quantiles())
-        if first < 0 or last >= n or self.fading.max(initial=0) >= n_classes:
-            raise ValueError(f"links: a receiver is none of the {n} stations, or a class of fading is unknown.")
+        assert len(self.ptr) == n + 1 and self.ptr[0] == 0 and self.ptr[-1] == m
+        assert (np.diff(self.ptr) >= 0).all(), "ptr rises"
+        assert len(self.power_mw) == len(self.fading) == m
+        assert self.receiver.min(initial=0) >= 0 and self.receiver.max(initial=-1) < n, "receivers are stations"
+        assert self.fading.max(initial=0) < len(fading_quantiles()), "classes of fading are known"
         for name, dtype in (("receiver", np.int32), ("power_mw", np.float32), ("fading", np.uint8)):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))
 
@@ -213,15 +207,12 @@ def _constants(receiver: ReceiverParams, access: AccessParams) -> dtypes.Constan
 
 
 def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, receiver: ReceiverParams) -> ndarray:
-    """The packets as records of the event loop. Raises ValueError for invalid packets."""
+    """The packets as records of the event loop. Raises ValueError where a frame outlasts its packet's lifetime."""
     new = np.zeros(len(packets), dtypes.PACKET)
     if len(packets) == 0:
         return new
-    for name, n_values in (("sender", n), ("access", dtypes.N_ACCESS)):
-        column = getattr(packets, name)
-        low, high = column.min(), column.max()
-        if low < 0 or high >= n_values:
-            raise ValueError(f"packets.{name} = {low} ... {high} must lie in 0 ... {n_values - 1}.")
+    assert packets.sender.min() >= 0 and packets.sender.max() < n, "senders are stations"
+    assert packets.access.max() < dtypes.N_ACCESS, "classes of access are known"
     air_ns = airtime_ns(packets.payload_bytes, receiver.rate_mbps)
     short = np.flatnonzero(packets.lifetime_ns < air_ns)
     if len(short):
@@ -230,18 +221,11 @@ def _records(packets: Packets, n: int, state: ChannelState, until_ns: int, recei
             f"lifetime = {packets.lifetime_ns[p] * 1e-6:g} ms of a packet is shorter than its transmission "
             f"({air_ns[p] * 1e-6:g} ms). Set radio.access.lifetime_s higher."
         )
-    if packets.generated_ns.min() < state.now_ns or packets.generated_ns.max() >= until_ns:
-        raise ValueError(
-            f"packets.generated_ns = {packets.generated_ns.min()} ... {packets.generated_ns.max()} lies outside "
-            f"the window {state.now_ns} ... {until_ns}. Hand each packet to the window in which it is generated."
-        )
+    is_in_window = (packets.generated_ns >= state.now_ns) & (packets.generated_ns < until_ns)
+    assert is_in_window.all(), "each packet comes in the window in which it is generated"
     of_sender = packets.sender.astype(np.uint64) << np.uint64(40)
     names = np.sort(of_sender | packets.seq)
-    twice = np.flatnonzero(names[1:] == names[:-1])
-    if len(twice):
-        raise ValueError(
-            f"sequence number {names[twice[0]] & _SEQ_MASK} comes twice from one sender. Count packets up per sender."
-        )
+    assert (names[1:] != names[:-1]).all(), "each sender counts its packets up"
     for name in ("sender", "seq", "generated_ns", "payload_bytes", "access", "tag"):
         new[name] = getattr(packets, name)
     new["airtime_ns"] = air_ns
@@ -287,7 +271,7 @@ def run_window(
     Raises
     ------
     ValueError
-        If the window is empty, or if a packet or a station is invalid.
+        If the transmission of a packet takes longer than its lifetime.
 
     Notes
     -----
@@ -297,8 +281,7 @@ def run_window(
     before, and draws no back-off if the medium becomes busy meanwhile.
     """
     n = len(links.key)
-    if until_ns <= state.now_ns:
-        raise ValueError(f"until_ns = {until_ns} is not after the state's now_ns = {state.now_ns}.")
+    assert until_ns > state.now_ns
     new = _records(packets, n, state, until_ns, rules.receiver)
     new["key"] = links.key[new["sender"]]
     new = new[np.lexsort((new["seq"], new["key"], new["generated_ns"]))]

@@ -162,11 +162,6 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
     busy
         Busy ratio that each station measured in the period, in [0, 1].
 
-    Raises
-    ------
-    ValueError
-        If a busy ratio is outside 0 to 1.
-
     Notes
     -----
     Reactive: the state moves one step towards the state of the smoothed busy ratio.   Deviations from [1]_: one step
@@ -176,8 +171,7 @@ def update(state: DccState, key: UInt64[ndarray, "n"], busy: Float[ndarray, "n"]
     (1 - alpha) d + beta (target - C), the last term within its bounds, and then the share within its own.
     Deviations from [1]_: a station begins with the largest share.
     """
-    if not ((busy >= 0) & (busy <= 1 + 1e-9)).all():
-        raise ValueError("busy ratios must lie in 0 ... 1.")
+    assert ((busy >= 0) & (busy <= 1 + 1e-9)).all(), "busy ratios are shares"
     now, n = state.of(key), state.n_periods + 1
     if params.algorithm == "reactive":
         cbr = (1 - params.smoothing) * now.cbr + params.smoothing * busy

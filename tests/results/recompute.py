@@ -6,8 +6,8 @@ step reach it before the next, broadcasts reach at once every vehicle that is on
 
 import numpy as np
 import pandas as pd
-from shapely import box
-from shapely.affinity import rotate, translate
+
+from tests.solids import iou
 
 
 def judgements(run):
@@ -107,7 +107,8 @@ def attacks(run):
     near = near.merge(boxes[["step", "observer", "detection_index", "class", "origin", "transmitted", *BOX]],
                       on=["step", "class"], suffixes=("", "_there"))  # fmt: skip
     near = near[near.transmitted & (np.hypot(near.x_m - near.x_m_there, near.y_m - near.y_m_there) < 10)]
-    near["iou"] = [_iou(row[BOX], row[[c + "_there" for c in BOX]]) for _, row in near.iterrows()]
+    both = (near[[c + end for c in BOX]].to_numpy(float) for end in ("", "_there"))
+    near["iou"] = [iou(*pair) for pair in zip(*both, strict=True)]
     near = near[(near.iou > 0.1) & ((near.observer != near.observer_there)
                                     | (near.detection_index != near.detection_index_there))]  # fmt: skip
     real = near[near.origin != "fabricated"].groupby(name).iou.max().rename("real")
@@ -122,17 +123,3 @@ def attacks(run):
 
 
 BOX = ["x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "yaw_rad"]
-
-
-def _iou(a, b):
-    """Intersection over union of two upright boxes, by Shapely."""
-    a, b = a.to_numpy(float), b.to_numpy(float)
-    if np.hypot(*(a[:2] - b[:2])) > np.hypot(*a[3:5]) + np.hypot(*b[3:5]):
-        return 0.0
-    flat = [
-        translate(rotate(box(-m[3] / 2, -m[4] / 2, m[3] / 2, m[4] / 2), m[6], (0, 0), use_radians=True), m[0], m[1])
-        for m in (a, b)
-    ]  # fmt: skip
-    high = max(0.0, min(a[2] + a[5] / 2, b[2] + b[5] / 2) - max(a[2] - a[5] / 2, b[2] - b[5] / 2))
-    common = flat[0].intersection(flat[1]).area * high
-    return common / (a[3:6].prod() + b[3:6].prod() - common)

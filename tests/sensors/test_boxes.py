@@ -2,29 +2,17 @@
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings
-from shapely import affinity
 
 from sensors.boxes import Boxes, extrapolated, iou_3d, overlapping_pairs
+from tests import solids
 from tests.seeds import seeds
 from tests.sensors.town import cases, from_camera, random_boxes
 
 
-def footprint(boxes: Boxes, k: int) -> shapely.Polygon:
-    length, width, _ = boxes.lwh_m[k]
-    flat = affinity.rotate(shapely.box(-length / 2, -width / 2, length / 2, width / 2), boxes.yaw_rad[k], (0, 0), True)
-    return affinity.translate(flat, *boxes.xyz_m[k, :2])
-
-
 def by_shapely(a: Boxes, b: Boxes) -> np.ndarray:
-    out = np.empty(len(a))
-    for k in range(len(a)):
-        top = min(a.xyz_m[k, 2] + a.lwh_m[k, 2] / 2, b.xyz_m[k, 2] + b.lwh_m[k, 2] / 2)
-        bottom = max(a.xyz_m[k, 2] - a.lwh_m[k, 2] / 2, b.xyz_m[k, 2] - b.lwh_m[k, 2] / 2)
-        common = footprint(a, k).intersection(footprint(b, k)).area * max(0.0, top - bottom)
-        out[k] = common / (a.lwh_m[k].prod() + b.lwh_m[k].prod() - common)
-    return out
+    one, other = (np.column_stack([of.xyz_m, of.lwh_m, of.yaw_rad]) for of in (a, b))
+    return np.array([solids.iou(*pair) for pair in zip(one, other, strict=True)])
 
 
 def test_by_hand():

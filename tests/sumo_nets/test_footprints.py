@@ -135,22 +135,22 @@ def test_numbers_of_tags(text, value):
 @pytest.mark.parametrize(
     ("tags", "area", "expected"),
     [
-        ({"building": "yes", "height": "22"}, 500, (0.0, 22.0, "measured")),
-        ({"building": "yes", "building:levels": "5", "roof:levels": "1"}, 500, (0.0, 21.0, "storeys")),
-        ({"building": "yes", "building:levels": "0", "roof:levels": "1"}, 500, (0.0, 3.5, "storeys")),
-        ({"building:part": "yes", "building:levels": "6", "building:min_level": "2"}, 500, (7.0, 21.0, "storeys")),
-        ({"building": "roof"}, 500, (4.5, 5.5, "default")),
-        ({"building": "carport"}, 30, (2.0, 3.0, "default")),
-        ({"building": "warehouse"}, 5000, (0.0, 9.0, "default")),
-        ({"building": "barn"}, 300, (0.0, 7.0, "default")),
-        ({"building": "yes", "height": "1234567"}, 500, (0.0, 17.5, "default")),
-        ({"building": "yes", "building:levels": "3000"}, 500, (0.0, 17.5, "default")),
-        ({"building": "yes"}, 20, (0.0, 3.0, "default")),
-        ({"building": "yes"}, 900, (0.0, 17.5, "default")),
+        ("building=yes height=22", 500, (0.0, 22.0, "measured")),
+        ("building=yes building:levels=5 roof:levels=1", 500, (0.0, 21.0, "storeys")),
+        ("building=yes building:levels=0 roof:levels=1", 500, (0.0, 3.5, "storeys")),
+        ("building:part=yes building:levels=6 building:min_level=2", 500, (7.0, 21.0, "storeys")),
+        ("building=roof", 500, (4.5, 5.5, "default")),
+        ("building=carport", 30, (2.0, 3.0, "default")),
+        ("building=warehouse", 5000, (0.0, 9.0, "default")),
+        ("building=barn", 300, (0.0, 7.0, "default")),
+        ("building=yes height=1234567", 500, (0.0, 17.5, "default")),
+        ("building=yes building:levels=3000", 500, (0.0, 17.5, "default")),
+        ("building=yes", 20, (0.0, 3.0, "default")),
+        ("building=yes", 900, (0.0, 17.5, "default")),
     ],
 )
 def test_heights_by_hand(tags, area, expected):
-    assert height_of(tags, area) == expected
+    assert height_of(dict(tag.split("=") for tag in tags.split()), area) == expected
 
 
 KM = 111.195  # of latitude in a degree

@@ -207,6 +207,17 @@ def stations_of(n, seed=1, length_m=1500.0):
     return Stations(rng.keys(np.uint64(seed), np.arange(n)), xyz_m, n)
 
 
+def two(apart_m):
+    """Two stations at 1.6 m."""
+    return Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [apart_m, 0, 1.6]]), 2)
+
+
+def one_message(medium, stations, length_bytes):
+    """What happens in the first round, in which the first station sends."""
+    messages = Messages(np.array([0]), np.array([length_bytes]))
+    return medium.broadcast(medium.start(), RoundKind.CPM, 0, 0.0, stations, messages)[1]
+
+
 def medium_of(model, round_s=0.04, **given):
     return MEDIA[model](RadioParams(model=model, propagation=HIGHWAY, **given), round_s, 7, None)
 
@@ -330,7 +341,7 @@ def test_losses_come_in_bursts_at_the_same_delivery():
 
 def test_repetitions_help_on_an_empty_channel():
     """A station at the edge of the range is heard more often if each message is sent twice."""
-    stations = Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [900.0, 0, 1.6]]), 2)
+    stations = two(900.0)
     share = []
     for n_transmissions in (1, 2, 3):
         medium = medium_of(
@@ -382,13 +393,11 @@ def test_busy_ratio_of_one_message():
 
     At 900 m the loss is 106.9 dB. A subchannel has -87 dBm, and its neighbours about 18 dB less: below -94 dBm.
     """
-    stations = Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [900.0, 0, 1.6]]), 2)
+    stations = two(900.0)
     plain = replace(HIGHWAY, shadowing=False, blockage="none", fading="none")
     medium = MEDIA["nr_mode2"](RadioParams(model="nr_mode2", propagation=plain, range_m=1000.0), 0.04, 7, None)
     assert medium.carrier.width(np.array([200]))[0] == 2 and medium.carrier.n_subchannels == 5
-    _, happened = medium.broadcast(
-        medium.start(), RoundKind.CPM, 0, 0.0, stations, Messages(np.array([0]), np.array([200]))
-    )
+    happened = one_message(medium, stations, 200)
     assert happened.frames.cbr.tolist() == [2 / 200, 2 / 200]
     assert happened.receptions.receiver.tolist() == [1]
 
@@ -422,10 +431,8 @@ def test_long_messages_are_segmented():
     """688 bytes fit the whole pool of NR at MCS 7; 1,500 bytes need three segments of at most that."""
     medium = medium_of("nr_mode2")
     assert medium.carrier.largest_bytes == 688
-    stations = Stations(rng.keys(np.uint64(1), np.arange(2)), np.array([[0.0, 0, 1.6], [20.0, 0, 1.6]]), 2)
-    _, happened = medium.broadcast(
-        medium.start(), RoundKind.CPM, 0, 0.0, stations, Messages(np.array([0]), np.array([1500]))
-    )
+    stations = two(20.0)
+    happened = one_message(medium, stations, 1500)
     assert happened.frames.n_transmissions.tolist() == [3] and happened.receptions.receiver.tolist() == [1]
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from shapely.affinity import rotate, translate
 
 from cosim.radio.bodies import Bodies, tallest_blocker_m
 from cosim.radio.link_budget import pairs
 from cosim.radio.propagation import PropagationParams, blockage_mean_db
+from tests.solids import footprint
 
 PLAIN = PropagationParams(model="highway", shadowing=False, fading="none", blockage="bodies")
 
@@ -30,8 +30,7 @@ def test_the_tallest_of_the_bodies_that_shapely_finds():
     keep = a != b
     found = tallest_blocker_m(xyz_m, a[keep], b[keep], bodies)
     boxes = [
-        translate(rotate(shapely.box(-x / 2, -w / 2, x / 2, w / 2), yaw, (0, 0), use_radians=True), *at[:2])
-        for at, (x, w, _), yaw in zip(bodies.xyz_m, lwh_m, bodies.yaw_rad, strict=True)
+        footprint(*at[:2], x, w, yaw) for at, (x, w, _), yaw in zip(bodies.xyz_m, lwh_m, bodies.yaw_rad, strict=True)
     ]
     tree = shapely.STRtree(boxes)
     expected = []
