@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.trust.histories import history, open_step, received_by
+from tests.trust.histories import add, build, history, play
 from tests.verification.trust_models import evidence
 from trust.claims import claims_of_messages
 from trust.models import MODELS, params_of
@@ -13,10 +13,8 @@ from trust.params import TrustParams
 def after(name, seed):
     """Trust by vehicle at the end of a random stream, and the stream."""
     frames, rows = history(seed, 1 + seed % 6, 2 + seed % 4)
-    model = MODELS[name](params_of(MODELS[name], TrustParams(), {}), 1.0)
-    for step, (frame, evaluated) in enumerate(zip(frames, rows, strict=True)):
-        open_step(model, step, frame)
-        model.add_evaluations(received_by(step, evaluated))
+    model = build(name)
+    play([model], frames, rows)
     scores = model.scores()
     return dict(zip(scores.subject.tolist(), scores.trust.tolist(), strict=True)), frames, rows
 
@@ -51,5 +49,5 @@ def test_mean_score_is_that_of_detections_alone():
     model = MODELS["mean_score"](params, 1.0)
     sent = claims_of_messages(np.zeros(4, int), np.arange(4), np.array([0.95, 0.90, 0.92, 0.97]))
     model.open_step(0, np.array([1, 2]), *sent)
-    model.add_evaluations(received_by(0, [(2, 1, 0, 1.0, 1.0)]))
+    add(model, 0, [(2, 1, 0, 1.0, 1.0)])
     assert model.scores().trust == pytest.approx([0.935])
