@@ -167,6 +167,11 @@ def set_words(keys: Iterable[str]) -> list[str]:
     return [word for key in keys for word in ("--set", key)]
 
 
+def manifest_of(folder: Path) -> dict[str, Any]:
+    """The manifest of a run as it is written."""
+    return json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+
+
 def sets_of_trace(path: Path) -> list[str]:
     """Words of a short run of a trace with everything on."""
     keys = (

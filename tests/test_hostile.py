@@ -1,12 +1,11 @@
 """What a hostile sender may send: it is counted and dropped; it changes no trust and ends no run."""
 
-import json
-
 import pytest
 
 from results.archive import open_run
 from tests.drive import drive
 from tests.fingerprint import fingerprint
+from tests.processes import manifest_of
 
 DISK = ("traffic.duration_s=12", "radio.model=unit_disk", "radio.unit_disk.loss_p=0", "record.level=full")
 
@@ -16,7 +15,7 @@ def third_attack(name):
 
 
 def summary(folder):
-    return json.loads((folder / "manifest.json").read_text())["summary"]
+    return manifest_of(folder)["summary"]
 
 
 def test_nonsense_in_detections_changes_nothing(tmp_path):

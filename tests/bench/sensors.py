@@ -26,7 +26,7 @@ from sensors.tracking.params import TrackingParams
 from sensors.tracking.track import track
 from sensors.tracking.tracks import Found, Observers, TrackMemory
 from tests.bench.timing import least_s
-from tests.sensors.town import sizes
+from tests.sensors.town import in_lanes, sizes
 
 
 def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tuple[Scene, Boxes, UInt8[ndarray, "n"]]:
@@ -43,11 +43,8 @@ def town(n_actors: int = 600, n_blocks: int = 20, pitch_m: float = 60.0) -> tupl
     others = [Shape.VAN, Shape.TRUCK, Shape.BUS, Shape.BICYCLE, Shape.PEDESTRIAN, Shape.PEDESTRIAN]
     shape = rng.choice([Shape.CAR] * 4 + others, n_actors).astype(np.uint8)
     lwh = sizes(rng, shape)
-    street, along = rng.integers(0, n_blocks, n_actors) * pitch_m, rng.uniform(0, n_blocks * pitch_m, n_actors)
-    lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n_actors), rng.random(n_actors) < 0.5
-    x, y = np.where(east, along, street + lane), np.where(east, street + lane, along)
-    yaw = np.where(east, 0.0, np.pi / 2) + np.where(lane > 0, np.pi, 0.0)
-    return scene, Boxes(np.column_stack([x, y, lwh[:, 2] / 2]), lwh, yaw), shape
+    xyz, yaw = in_lanes(rng, lwh, n_blocks, pitch_m)
+    return scene, Boxes(xyz, lwh, yaw), shape
 
 
 def bench(

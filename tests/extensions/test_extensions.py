@@ -1,6 +1,5 @@
 """Seven extensions, each one file plus config, run end to end without touching a source file."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from cosim.runs.run import pseudonym_remarks
 from results.archive import open_run
 from tests.drive import cosim, simulate
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 
 HERE = Path(__file__).parent
 BASE = """
@@ -25,7 +24,7 @@ def drive(folder, config):
     """A run of a config file in a folder of its own; the extension lies beside it."""
     (folder / "mine.toml").write_text(config)
     run = open_run(simulate(folder / "run", config=folder / "mine.toml"))
-    return run, json.loads((folder / "run" / "manifest.json").read_text())["choices"]
+    return run, manifest_of(folder / "run")["choices"]
 
 
 @pytest.fixture
@@ -66,7 +65,7 @@ def test_a_class_that_fails_in_a_run(tmp_path):
     told = f"error: {tmp_path}/bad.py:5: pseudonym policy Bad: changes() raised SystemExit: 0, which ends the program."
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and done.stderr.startswith(told)
     assert done.stderr.endswith("cosim resume run.\n")
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    manifest = manifest_of(tmp_path / "run")
     assert manifest["status"] == "failed" and manifest["steps"] == 2
 
 
@@ -127,7 +126,7 @@ def test_pseudonym_policy(beside):
     names = run.pseudonyms
     assert names.groupby("vehicle").size().max() == 3  # 14 messages: 6, 6, 2
     assert (names.to_step - names.from_step < 6).all()
-    mean = json.loads((run.path / "manifest.json").read_text())["summary"]["messages_per_pseudonym"]
+    mean = manifest_of(run.path)["summary"]["messages_per_pseudonym"]
     assert 3 < mean < 6 and not pseudonym_remarks({"messages_per_pseudonym": mean})
     used = run.receptions.merge(names, left_on="sender", right_on="pseudonym")
     assert len(used) == len(run.receptions) and used.step.between(used.from_step, used.to_step).all()

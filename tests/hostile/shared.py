@@ -22,7 +22,7 @@ from cosim.studies.study import load as load_study
 from results import inventory
 from results.manifest import read_manifest, write_manifest
 from tests.hostile.scenes import write_trace
-from tests.processes import sets_of_trace
+from tests.processes import manifest_of, sets_of_trace
 
 TRAP = """
 from pathlib import Path
@@ -60,12 +60,7 @@ def _interrupting(after: int) -> Callable[..., None]:
 
 def reseal(folder: Path, **entries: Any) -> None:
     """Change the manifest of a run, with its checksum made anew."""
-    write_manifest(folder, read_manifest_unchecked(folder) | entries)
-
-
-def read_manifest_unchecked(folder: Path) -> dict[str, Any]:
-    """The manifest as it is written."""
-    return json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    write_manifest(folder, manifest_of(folder) | entries)
 
 
 def with_config(folder: Path, config: dict[str, Any]) -> None:
@@ -85,7 +80,7 @@ def reseal_inventory(folder: Path, change: Callable[[list[dict[str, Any]]], None
         written.append(json.dumps(line | {"chain": digest}, separators=(",", ":")))
         before = digest
     (folder / inventory.FILE).write_text("".join(text + "\n" for text in written))
-    said = read_manifest_unchecked(folder)
+    said = manifest_of(folder)
     try:
         found = inventory.read(folder)
     except durable.Damaged:
@@ -98,7 +93,7 @@ def set_trap(folder: Path, sentinel: Path, elsewhere: Path) -> None:
     for path in (folder / "trap.py", elsewhere / "trap_elsewhere.py", folder / "trap_module.py"):
         path.write_text(TRAP.format(sentinel=str(sentinel)))
     names = ["trap.py:Trap", f"{elsewhere}/trap_elsewhere.py:Trap", "trap_module:Trap", f"{folder}/trap.py:Trap"]
-    config = read_manifest_unchecked(folder)["config"]
+    config = manifest_of(folder)["config"]
     for number, (section, kind) in enumerate(SECTIONS.items()):
         sections = config[section] if isinstance(config[section], list) else [config[section]]
         for one in sections:

@@ -23,6 +23,7 @@ from results.verify import verify
 from tests.fingerprint import fingerprint
 from tests.hostile import SEED, N, shared
 from tests.hostile.folders import HARMS
+from tests.processes import manifest_of
 
 VALUES = (
     None, 0, -1, 1, 3, 10**12, 2.5, 1e300, True, False, "", "finished", "x" * 2000, "\x1b]0;owned\x07", [], {}, [[]],
@@ -56,7 +57,7 @@ def edit(data, rng):
 
 def sealed_manifest(folder, rng):
     """A value of the manifest, its checksum made anew."""
-    content = shared.read_manifest_unchecked(folder)
+    content = manifest_of(folder)
     said = edit(content, rng)
     (folder / "manifest.json").unlink()
     shared.write_manifest(folder, content)

@@ -9,8 +9,8 @@ from sensors.boxes import Boxes
 from sensors.line_of_sight import LosOfPlaces, WallIndex, los_between_actors
 from sensors.scene import Scene
 from tests.seeds import seeds
-from tests.sensors.test_boxes import footprint
 from tests.sensors.town import SIZE_M, blocks, car, lines_between, to_scene, traffic
+from tests.solids import footprint
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 YARD = [SQUARE * 0.4 + 3.0]
@@ -159,11 +159,13 @@ def test_los_between_actors_equals_shapely(seed):
     blocked = shapely.intersects(lines, walls)
     index = WallIndex.of(tall.buildings)
     seen = los_between_actors(index, boxes, shape, a, b)
+    sizes = np.column_stack([boxes.xyz_m[:, :2], boxes.lwh_m[:, :2], boxes.yaw_rad])
+    body = [footprint(*size) for size in sizes]
     indoors = shapely.contains_xy(shapely.union_all(tall.footprints), *roof[:, :2].T)
     by_buildings = los_between_actors(index, boxes, shape, a, b, bodies=False)
     assert np.array_equal(by_buildings, ~blocked & ~indoors[a] & ~indoors[b]) and not (seen & ~by_buildings).any()
     for k in np.flatnonzero(~seen & by_buildings):  # what else stops a line is a third body that it passes over
-        over = [o for o in range(40) if o not in (a[k], b[k]) and footprint(boxes, o).intersects(lines[k])]
+        over = [o for o in range(40) if o not in (a[k], b[k]) and body[o].intersects(lines[k])]
         assert any(boxes.xyz_m[o, 2] + boxes.lwh_m[o, 2] / 2 > min(roof[a[k], 2], roof[b[k], 2]) for o in over)
     assert (seen == los_between_actors(index, boxes, shape, b, a)).all()
     none = np.zeros(0, int)

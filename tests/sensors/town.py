@@ -99,15 +99,21 @@ def sizes(rng, shape) -> np.ndarray:
     return SIZE_M[shape] * rng.uniform(0.95, 1.05, (len(shape), 3))
 
 
-def traffic(rng, n, size=360.0, pitch=60.0) -> tuple[Boxes, np.ndarray]:
+def traffic(rng, n) -> tuple[Boxes, np.ndarray]:
     """Actors in the lanes between the blocks."""
     shape = rng.choice([0, 0, 0, 1, 2, 3, 5, 6], n).astype(np.uint8)
     lwh = sizes(rng, shape)
-    street, along = rng.integers(0, int(size / pitch), n) * pitch, rng.uniform(0, size, n)
+    xyz, yaw = in_lanes(rng, lwh, 6, 60.0)
+    return Boxes(xyz, lwh, yaw + rng.normal(0, 0.05, n)), shape
+
+
+def in_lanes(rng, lwh, n_streets, pitch):
+    """Places and headings of actors of these sizes in the four lanes of a grid of streets."""
+    n = len(lwh)
+    street, along = rng.integers(0, n_streets, n) * pitch, rng.uniform(0, n_streets * pitch, n)
     lane, east = rng.choice([-4.5, -1.7, 1.7, 4.5], n), rng.random(n) < 0.5
     x, y = np.where(east, along, street + lane), np.where(east, street + lane, along)
-    yaw = np.where(east, 0.0, np.pi / 2) + np.where(lane > 0, np.pi, 0.0) + rng.normal(0, 0.05, n)
-    return Boxes(np.column_stack([x, y, lwh[:, 2] / 2]), lwh, yaw), shape
+    return np.column_stack([x, y, lwh[:, 2] / 2]), np.where(east, 0.0, np.pi / 2) + np.where(lane > 0, np.pi, 0.0)
 
 
 def boxes_at(xyz_m, lwh_m=(1.0, 1.0, 1.0), yaw_rad=0.0) -> Boxes:

@@ -7,7 +7,7 @@ import pytest
 
 from cosim import __version__
 from tests.drive import SHORT, assert_refused, cosim
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 from tests.slow import slow
 
 SETS = set_words((*SHORT, "traffic.duration_s=10"))
@@ -33,7 +33,7 @@ def test_run_ends_in_a_summary_and_a_picture(run):
     folder, done = run
     run_folder = folder / "runs" / "helsinki-1"
     assert (run_folder / "trust.png").stat().st_size > 10_000
-    manifest = json.loads((run_folder / "manifest.json").read_text())
+    manifest = manifest_of(run_folder)
     assert manifest["status"] == "finished" and manifest["steps"] == 10
     assert len(done.stdout.splitlines()) == 8
     for words in (

@@ -9,6 +9,7 @@ from cosim.addons.netbuild.osm_files import read
 from tests.addons.netbuild.test_build_from_osm import grid_town
 from tests.cosim.traffic import mixed_scenario
 from tests.drive import assert_refused, cosim
+from tests.processes import manifest_of
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_what_was_built_is_driven(built):
     (folder / "mine.toml").write_text('[traffic]\nscenario = "town"\nduration_s = 5\nwarmup_s = 60\n')
     done = cosim("run", str(folder / "mine.toml"), "--json", "--out", "run", cwd=folder)
     assert done.returncode == 0 and done.stderr == "", done.stderr
-    manifest = json.loads((folder / "run" / "manifest.json").read_text())
+    manifest = manifest_of(folder / "run")
     assert manifest["net"]["attribution"] == "© OpenStreetMap contributors"
 
 

@@ -15,7 +15,7 @@ from results.progress import progress
 from results.verify import verify
 from tests.hostile.scenes import write_trace
 from tests.hostile.shared import reseal, with_config
-from tests.processes import sets_of_trace
+from tests.processes import manifest_of, sets_of_trace
 
 TOPICS = ("traffic", "encounters", "radio")
 
@@ -83,7 +83,7 @@ def test_the_folder_of_an_empty_table_and_a_second_config(watched, tmp_path):
     content = file.read_bytes()
     shutil.rmtree(tmp_path / "run" / "dropped_detections")
     assert verify(tmp_path / "run")[1] == [f"dropped_detections/{file.name} is missing"]
-    config = json.loads((watched[0] / "manifest.json").read_text())["config"]
+    config = manifest_of(watched[0])["config"]
     with_config(tmp_path / "run", config)
     file.parent.mkdir()
     file.write_bytes(content)

@@ -1,7 +1,6 @@
 """A replay is the run that it came from, whatever the traffic was written down in; and what a bad trace is told."""
 
 import gzip
-import json
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -22,7 +21,7 @@ from tests.cosim.traffic import mixed_scenario
 from tests.cosim.traffic.worlds import collect, live, registry, same
 from tests.drive import SHORT, cosim, drive
 from tests.fingerprint import fingerprint
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 from tests.slow import slow
 
 FORMATS = (
@@ -127,7 +126,7 @@ def test_a_run_that_outlives_its_trace_ends_and_says_so(tmp_path):
     done = cosim("run", *set_words(sets), "--out", str(tmp_path / "longer"))
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("\n") == 1 and "ended before the 9 s asked for" in done.stderr
-    manifest = json.loads((tmp_path / "longer" / "manifest.json").read_text())
+    manifest = manifest_of(tmp_path / "longer")
     assert manifest["steps"] == 5 and manifest["status"] == "finished"
     assert fingerprint(tmp_path / "longer") == fingerprint(tmp_path / "live")
     said = {}

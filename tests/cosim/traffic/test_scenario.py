@@ -21,7 +21,7 @@ from tests.cosim.traffic.mixed_scenario import edited
 from tests.cosim.traffic.worlds import live, same
 from tests.drive import cosim
 from tests.hostile.scenes import write_town
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 from tests.sensors.town import boxes_at
 from tests.slow import slow
 
@@ -90,7 +90,7 @@ def test_demand_that_turns_out_wrong_later(scenario, tmp_path, demand, is_kept):
     assert re.fullmatch(r"error: .*odd\.sumocfg: SUMO gives up: The edge 'nowhere'.*\n", done.stderr)
     assert out.exists() == is_kept
     if is_kept:
-        assert json.loads((out / "manifest.json").read_text())["status"] == "failed"
+        assert manifest_of(out)["status"] == "failed"
         about, problems = verify(out)
         assert 300 < about["steps"] < 550 and problems == []  # also those of a block that is not complete
 
@@ -120,7 +120,7 @@ def test_a_run_that_outlives_the_demand_says_so_and_counts_who_was_left_out(scen
     first, second = [line for line in done.stderr.splitlines() if not line.startswith("estimate: ")]
     assert "the traffic ended before the 2000 s asked for" in first
     assert second == "note: left out, because they are not on the road: 1 rail, 1 ship."
-    summary = json.loads((tmp_path / "run" / "manifest.json").read_text())["summary"]
+    summary = manifest_of(tmp_path / "run")["summary"]
     assert summary["actors_left_out"] == {"rail": 1, "ship": 1}
     assert not list(scenario.parent.glob("*tripinfo*")) and not list(scenario.parent.glob("state*"))
 
@@ -191,7 +191,7 @@ def test_half_an_hour_without_a_warning(tmp_path, city):
     done = cosim("run", *set_words(sets), "--out", str(tmp_path / "run"))
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("estimate: ") for line in done.stderr.splitlines()), done.stderr
-    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    manifest = manifest_of(tmp_path / "run")
     assert manifest["steps"] == 1800 and manifest["summary"]["vehicles_on_road_mean"] > 50
     if "/" in city:
         assert sorted(BOLOGNA.iterdir()) == before

@@ -1,6 +1,5 @@
 """What is said of streets and buildings that are loaded, and of those that cannot be meant so."""
 
-import json
 from xml.etree import ElementTree
 
 import pytest
@@ -11,7 +10,7 @@ from cosim.traffic.scene_summary import scene_summary
 from tests import SHARED
 from tests.cosim.traffic import crossing
 from tests.drive import cosim
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 from tests.slow import slow
 
 NETS = SHARED / "nets"
@@ -154,7 +153,7 @@ def test_the_command_line_says_it(tmp_path):
     checked, ran = cosim("check", *words), cosim("run", *words, "--out", str(tmp_path / "run"))
     for done in (checked, ran):
         assert done.returncode == 0 and "none of the 4 polygons" in done.stderr, done.stderr
-    summary = json.loads((tmp_path / "run" / "manifest.json").read_text())["summary"]
+    summary = manifest_of(tmp_path / "run")["summary"]
     for said in (checked.stdout, summary["streets"] + summary["buildings"]):
         assert "none: everybody sees everybody" in said and " km of lanes in 8 streets" in said
 

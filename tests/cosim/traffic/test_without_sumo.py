@@ -3,13 +3,11 @@
 One process without these modules carries out several commands, each in a child.
 """
 
-import json
-
 import pytest
 
 from tests.drive import assert_refused, in_turn, simulate
 from tests.hostile.scenes import write_trace
-from tests.processes import set_words
+from tests.processes import manifest_of, set_words
 
 HIDE = """
 import importlib.metadata, sys
@@ -58,7 +56,7 @@ def ended(tmp_path_factory):
 def test_a_trace_runs_and_nothing_else_is_written(ended):
     folder, done = ended
     assert done["run"].returncode == 0, done["run"].stderr
-    manifest = json.loads((folder / "run" / "manifest.json").read_text())
+    manifest = manifest_of(folder / "run")
     assert manifest["status"] == "finished" and "libsumo" not in manifest["versions"]
     assert sorted(path.name for path in folder.iterdir()) == ["run", "street.csv"]
 
