@@ -48,6 +48,6 @@ class Rows:
         return joined
 
 
-def no_rows(dtype: Any = np.float64) -> Any:
-    """A field of a dataclass whose default is a column without rows."""
-    return field(default_factory=lambda: np.zeros(0, dtype))
+def no_rows(dtype: Any = np.float64, *width: int) -> Any:
+    """A field of a dataclass whose default is a column without rows, of this width."""
+    return field(default_factory=lambda: np.zeros((0, *width), dtype))

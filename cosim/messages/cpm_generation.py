@@ -67,12 +67,12 @@ class InclusionMemory:
 
     of: Int[ndarray, "n"] = no_rows(np.int64)
     """Sender (as in `Generators.sender`), class, and whether it is the sender itself, in one number, ascending."""
-    xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    xy_m: Float[ndarray, "n 2"] = no_rows(np.float64, 2)
     yaw_rad: Float[ndarray, "n"] = no_rows()
     time_s: Float[ndarray, "n"] = no_rows()
     speed_mps: Float[ndarray, "n"] = no_rows()
     """NaN where it was unknown."""
-    velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    velocity_mps: Float[ndarray, "n 2"] = no_rows(np.float64, 2)
     """NaN where it was unknown."""
     track: Int[ndarray, "n"] = no_rows(np.int64)
     """Number of the sender's track of the object; -1 where it tracks none."""

@@ -6,7 +6,6 @@ pseudonym, which is ground truth.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy import ndarray
 
 from cosim.base import rng
 from cosim.base.bounds import Share
+from cosim.base.rows import no_rows
 from cosim.world import World
 
 FIRST_STRETCH_M = 800.0
@@ -264,33 +264,28 @@ class PseudonymParams:
     """With `list`: time between two revocation lists [s]."""
 
 
-_no_integers = partial(np.zeros, 0, np.int64)
-_no_issued = partial(np.zeros, (0, 3), np.int64)
-_no_extra = partial(np.zeros, (0, 4), np.int64)
-
-
 @dataclass(frozen=True, slots=True)
 class PseudonymState:
     """Pseudonyms in use, by actor number, and all pseudonyms that were issued."""
 
-    current: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    current: Int[ndarray, "capacity"] = no_rows(np.int64)
     """Pseudonym of each vehicle; -1 for none."""
-    since_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
-    seen_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
-    n_changes: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
-    n_messages: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
-    distance_m: Float[ndarray, "capacity"] = field(default_factory=partial(np.zeros, 0))
-    xy_m: Float[ndarray, "capacity 2"] = field(default_factory=partial(np.zeros, (0, 2)))
+    since_step: Int[ndarray, "capacity"] = no_rows(np.int64)
+    seen_step: Int[ndarray, "capacity"] = no_rows(np.int64)
+    n_changes: Int[ndarray, "capacity"] = no_rows(np.int64)
+    n_messages: Int[ndarray, "capacity"] = no_rows(np.int64)
+    distance_m: Float[ndarray, "capacity"] = no_rows()
+    xy_m: Float[ndarray, "capacity 2"] = no_rows(np.float64, 2)
     """Last position."""
-    from_xy_m: Float[ndarray, "capacity 2"] = field(default_factory=partial(np.zeros, (0, 2)))
+    from_xy_m: Float[ndarray, "capacity 2"] = no_rows(np.float64, 2)
     """Position where it took its pseudonym."""
-    beyond_step: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    beyond_step: Int[ndarray, "capacity"] = no_rows(np.int64)
     """Step in which it had driven `FIRST_STRETCH_M` under its pseudonym. It has no meaning before that."""
-    linked: Int[ndarray, "capacity"] = field(default_factory=_no_integers)
+    linked: Int[ndarray, "capacity"] = no_rows(np.int64)
     """Pseudonym of each vehicle to which its later ones are linked on demand; -1 for none."""
-    issued: Int[ndarray, "n_issued 3"] = field(default_factory=_no_issued)
+    issued: Int[ndarray, "n_issued 3"] = no_rows(np.int64, 3)
     """Vehicle, identity and first step of each pseudonym that is not an actor number, in the order of issue."""
-    extra: Int[ndarray, "x 4"] = field(default_factory=_no_extra)
+    extra: Int[ndarray, "x 4"] = no_rows(np.int64, 4)
     """Further identities. Columns: `_identity_key` (ascending), pseudonym, first and last step."""
     n_sent: int = 0
     """Number of detection messages that vehicles have made so far."""

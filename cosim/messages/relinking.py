@@ -7,7 +7,7 @@ knows something about the new one.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,8 +26,8 @@ class KnownSenders(Rows):
 
     receiver: Int[ndarray, "n"] = no_rows(np.int64)
     pseudonym: Int[ndarray, "n"] = no_rows(np.int64)
-    xy_m: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
-    velocity_mps: Float[ndarray, "n 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    xy_m: Float[ndarray, "n 2"] = no_rows(np.float64, 2)
+    velocity_mps: Float[ndarray, "n 2"] = no_rows(np.float64, 2)
     time_s: Float[ndarray, "n"] = no_rows()
     gap_s: Float[ndarray, "n"] = no_rows()
     """Shortest time between two of its messages that the receiver heard; infinite after the first one."""

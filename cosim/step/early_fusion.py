@@ -6,7 +6,7 @@ and its fused objects. Nothing else in the simulation uses it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ class Clouds:
     step: Int[ndarray, "m"] = no_rows(np.int64)
     """Step of the sweep."""
     sender: Int[ndarray, "m"] = no_rows(np.int64)
-    xy_m: Float[ndarray, "m 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    xy_m: Float[ndarray, "m 2"] = no_rows(np.float64, 2)
     """Where the sender takes itself to be."""
     cloud: Int[ndarray, "v"] = no_rows(np.int64)
     """Cloud in which each actor has returns, ascending."""
@@ -51,7 +51,7 @@ class Clouds:
     n_unoccluded: Int[ndarray, "v"] = no_rows(np.int64)
     range_m: Float[ndarray, "v"] = no_rows()
     """Distance from the sensor to the actor."""
-    at_m: Float[ndarray, "v 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    at_m: Float[ndarray, "v 2"] = no_rows(np.float64, 2)
     """Where the actor was when the sensor looked at it, by the sender's estimate of its own pose."""
     receiver: Int[ndarray, "r"] = no_rows(np.int64)
     received: Int[ndarray, "r"] = no_rows(np.int64)

@@ -1,6 +1,6 @@
 """Time-correlated errors of positioning: estimated minus true position and heading."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -43,7 +43,7 @@ class PositionErrors:
     therefore s at all times, and a vehicle's error does not depend on other vehicles.
     """
 
-    error: Float[ndarray, "capacity 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    error: Float[ndarray, "capacity 3"] = no_rows(np.float64, 3)
     """East [m], north [m] and heading, counter-clockwise [rad]."""
     step: Int[ndarray, "capacity"] = no_rows(np.int64)
 
