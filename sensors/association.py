@@ -111,7 +111,8 @@ def pairs_within(
     The agreement of a pair is the probability that two detections of one object are at least as far apart, exp(-d^2/2)
     with the squared Mahalanobis distance d^2 of their centres under the sum of both variances [1]_. If the boxes
     overlap by more than `least_iou`, it is at least their IoU. Where one box is longer or wider, half the difference is
-    not counted as distance: a truck of which a vehicle sees the rear as a car is where that car is.
+    not counted as distance: a truck of which a vehicle sees the rear as a car is where that car is. Boxes with more
+    than 1 m of height between them, as on a bridge and below, are no pair.
     """
     detections = _Detections(boxes, label, variance_m2, owner)
     return _agreeing(detections, detections, gate)
@@ -190,6 +191,8 @@ class _Places(NamedTuple):
         )
 
 
+_ROOM_BETWEEN_M = 1.0
+"""Boxes with more height between them are on different roads. A moved box may be a little above a steep road."""
 _FARTHEST = 2.0**40
 """Cells farther away count as this one."""
 
@@ -369,6 +372,9 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
                         if is_same and other <= one:
                             continue
                         if len(a.owner) and a.owner[i] == b.owner[j]:
+                            continue
+                        z = a.xyz[i, 2] - b.xyz[j, 2]
+                        if abs(z) - 0.5 * (a.lwh[i, 2] + b.lwh[j, 2]) > _ROOM_BETWEEN_M:
                             continue
                         square = _square(a, i, b, j, x, y)
                         iou = 0.0

@@ -79,6 +79,21 @@ def test_a_pair_does_not_depend_on_who_else_is_there():
         np.testing.assert_allclose(value, np.exp(-0.5 * 5.75**2 / 8))
 
 
+def test_on_a_bridge_and_below():
+    """Cars of 1.5 m, one above the other: at 2.4 m, 0.9 m are between them, as where a box was moved along a steep
+    road; at 6 m, as on a bridge, they are two cars."""
+    lwh, label, owner = np.array([4.5, 1.8, 1.5]), np.zeros(2, np.uint8), np.array([0, 1])
+    for above_m, agrees in ((0.0, [1.0]), (2.4, [1.0]), (-2.4, [1.0]), (6.0, []), (-6.0, [])):
+        boxes, variance = boxes_at(np.array([[0.0, 0, 0], [0, 0, above_m]]), lwh), round_variance(0.3, 2)
+        for found in (
+            pairs_within(boxes, label, variance, owner, GATE),
+            pairs_across(
+                *(boxes.take([0]), label[:1], variance[:1]), *(boxes.take([1]), label[1:], variance[1:]), GATE
+            ),
+        ):
+            np.testing.assert_allclose(found[2], agrees)
+
+
 def slowly(a, a_label, a_var, b, b_label, b_var):
     """The definition, pair by pair."""
     found, n = {}, len(b)
