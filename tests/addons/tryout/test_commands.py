@@ -3,12 +3,17 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cosim.addons.tryout import templates
+from cosim.addons.tryout.templates.detector import MyDetector, Params
 from cosim.cli.main import app
+from sensors.evidence import Observability
+from sensors.reports import DetectorDraws
 from tests.results import tiny
+from tests.sensors.test_rotation import passing
 from tests.slow import slow
 
 KINDS = ("trust", "attack", "policy", "medium", "detector", "driver", "exporter", "metric")
@@ -119,3 +124,13 @@ def test_an_own_metric_is_measured(tmp_path, run):
     refused = CliRunner().invoke(app, ["measure", str(run), "--metric", "traffic:nobody"])
     assert not refused.stdout + refused.stderr
     assert "goes with a metric of your own" in str(call("measure", run, "--set", "a=1")[2])
+
+
+def test_the_example_of_a_detector_reports_where_the_sensor_looked():
+    """A car at 20 m/s beside the sensor is seen a quarter of a turn, 0.025 s, after the time of the sweep."""
+    sweeps, boxes = passing(20.0, rotation_hz=10.0)
+    observer, actor, n = (np.array([number]) for number in (0, 1, 100))
+    seen, key = Observability(observer, actor, n, n, np.array([10.0])), np.arange(2, dtype=np.uint64)
+    draws = DetectorDraws(5.0, key, key, key, np.uint64(1), key, key)
+    found = MyDetector(Params(error_m=0.0)).detect(sweeps, seen, boxes, np.zeros(2, np.uint8), draws)
+    np.testing.assert_allclose(found.boxes.xyz_m - boxes.xyz_m[1:], [[0.5, 0.0, 0.0]])

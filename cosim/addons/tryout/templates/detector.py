@@ -23,9 +23,9 @@ class MyDetector:
         # seen: one row for each (observer, actor) that could be detected, with the number of returns
         found = (seen.n_returns >= self.params.enough_returns).nonzero()[0]
         actor = seen.actor[found]
-        box = boxes.take(actor)  # the true boxes
+        box = boxes.take(actor)  # the true boxes at the time of the sweep
         noise = draws.uniforms(seen)[found, 0]  # a random number for each (observer, actor), new in every step
-        xyz_m = box.xyz_m.copy()
+        xyz_m = box.xyz_m + sweeps.moved_m(seen.observer[found], boxes, actor)  # where the turning sensor saw them
         xyz_m[:, 0] += self.params.error_m * (2 * noise - 1)
         score = 1 - 1 / (1 + seen.n_returns[found] / self.params.enough_returns)
         return Reports.of_actors(seen, found, label[actor], replace(box, xyz_m=xyz_m), score)
