@@ -133,6 +133,10 @@ def reports(call: Call, returned: Any) -> Reports:
     )
     actor = np.where(returned.is_false_positive, 0, returned.actor)
     _within("actor", actor, 0, max(0, len(boxes) - 1))
+    _within("boxes.yaw_rad", returned.boxes.yaw_rad, -2 * np.pi, 2 * np.pi)  # messages say no others
+    xyz_m, reach_m = returned.boxes.xyz_m, 2 * sweeps.max_range_m
+    away_m = np.linalg.norm(xyz_m - sweeps.poses.origin_m[returned.observer], axis=1)
+    _none("boxes.xyz_m", xyz_m, away_m > reach_m, f"a place in the world frame within {reach_m:g} m of the observer")
     return detached(returned)
 
 

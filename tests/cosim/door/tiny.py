@@ -79,7 +79,8 @@ def detector():
     returns = np.full(6, 30, np.int32)
     seen = Observability(observer, actor, returns, returns + 5, np.full(6, 20.0))
     draws = DetectorDraws(5.0, here.name_key, keys, keys, np.uint64(1), keys, keys)
-    sweeps = SimpleNamespace(observers=np.arange(2))
+    poses = SimpleNamespace(origin_m=here.boxes.xyz_m[:2])
+    sweeps = SimpleNamespace(observers=np.arange(2), poses=poses, max_range_m=100.0)
     return {"detect": (sweeps, seen, here.boxes, here.label, draws)}
 
 
