@@ -13,10 +13,10 @@ Objects lie east, north and up of it. The map's north is turned to true north. W
 "unavailable" or absent; `cosim/messages/README.md` lists all fields.
 
 Second 0 of the run is 2025-01-01 00:00 UTC; time stamps in messages count atomic time since 2004 in milliseconds.
-Stations have the numbers of their pseudonyms, and objects those of `detection_index`. Where a run has tracks, a tracked
-object has the number of its track below 32,768 and its velocity, and any other object has 32,768 more than its
-`detection_index`. A CPM that would be longer than 1,398 bytes, with BTP, is split into segments. A CPM describes the
-LiDAR where the message did so in the simulation, in its first segment.
+Stations have the numbers of their pseudonyms, and objects those of `detection_index`. Where a run has tracks, an object
+has its velocity, and a number that it keeps as long as its track and the pseudonym last; it says neither the number of
+the track nor that an attack fabricated the object. A CPM that would be longer than 1,398 bytes, with BTP, is split into
+segments. A CPM describes the LiDAR where the message did so in the simulation, in its first segment.
 """
 
 import struct
@@ -72,7 +72,7 @@ STATED = (*POSITION, *VELOCITY, "yaw_std_rad", "size_std")
 """Columns of the table `stated_accuracies`, which runs at level full have."""
 
 TRACKS = 2**15
-"""Numbers of tracked objects are below this."""
+"""Tracks are counted modulo this."""
 
 BLOCK_STEPS = 20
 """Steps whose detections are in memory together."""
@@ -343,9 +343,7 @@ def objects_of(
     number = perceived.detection_index.to_numpy(np.int64)
     velocity = confidences = None
     if set(TRACKED) <= set(perceived.columns):
-        track = perceived.object_id
-        of_track = track.fillna(0).astype(np.int64) % TRACKS
-        number = np.where(track.isna(), TRACKS + number, of_track)
+        number = _object_numbers(perceived, sender)
         velocity = perceived[["velocity_x_mps", "velocity_y_mps"]].to_numpy(float, na_value=np.nan)
         velocity = turned_by(-turn, velocity)
     if set(STATED) <= set(perceived.columns):
@@ -355,6 +353,19 @@ def objects_of(
     size = box[:, 3:6]
     yaw = box[:, 6] - turn
     return cpm.CpmObjects.of(number, label, away, size, yaw, score, velocity, confidences)
+
+
+def _object_numbers(perceived: pd.DataFrame, sender: Int[ndarray, "d"]) -> Int[ndarray, "d"]:
+    """Numbers of objects, each once in a message, that are mixed anew for each pseudonym.
+
+    The k-th object of a message that has no track, which an attack fabricated, has the same number in all messages.
+    """
+    is_fabricated = perceived.object_id.isna()
+    rank = is_fabricated.groupby(sender).cumsum()
+    track = perceived.object_id.fillna(0).astype(np.int64) % TRACKS
+    known = np.where(is_fabricated, TRACKS + rank, track)
+    of_pseudonym = perceived.observer.to_numpy(np.int64) * 2_654_435_761 >> 16
+    return (40_503 * known + of_pseudonym) % 2**16  # an odd factor keeps different numbers apart
 
 
 def confidences_of(perceived: pd.DataFrame, turn_rad: Float[ndarray, "d"]) -> etsi.Confidences:

@@ -12,9 +12,8 @@ perceived objects, so target and observations are private ones: target 200 "perc
 "not detected where visible" and 2 "contradicted by free space". The standard has no scores: evaluation and visibility
 stand in `nonV2xPduEvidence`. Evidence is the sender's CPM as an unsecured GeoNetworking packet (PDU type 1), as `cosim
 export pcap` writes it. `objectIndex` counts the objects of a message from 1, over all its segments, and 0 is the self
-report; it is neither `detection_index`, which also counts what is not sent, nor the CPM's `objectId`, which is the
-number of a track. The reporter is told by the signature in the standard; here `reporter` names its pseudonym, beside
-the report.
+report; it is neither `detection_index`, which also counts what is not sent, nor the CPM's `objectId`. The reporter is
+told by the signature in the standard; here `reporter` names its pseudonym, beside the report.
 """
 
 import json

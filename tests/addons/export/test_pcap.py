@@ -182,21 +182,37 @@ def test_velocities_and_numbers_of_tracks():
     """North is turned by 90 degrees: 3 m/s to the map's east are 3 m/s to the south. The second object has no track."""
     rows = [truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3
     perceived = pd.DataFrame(rows).assign(**{
-        "detection_index": [1, 2, 3], "class": "car", "score": 0.5,
+        "observer": 5, "detection_index": [1, 2, 3], "class": "car", "score": 0.5,
         "velocity_x_mps": [3.0, np.nan, -1.25], "velocity_y_mps": [0.5, np.nan, 400.0],
         "object_id": pd.array([7, None, 2**15 + 9], "Int32"),
     })  # fmt: skip
     seen = read_back(perceived)
     assert [o["velocity"] for o in seen] == [(50, -300), None, (16382, 125)], "400 m/s: out of range"
-    assert [o["number"] for o in seen] == [7, 2**15 + 2, 9]
+    # 40,503 times 7, 32,769 and 9, and 5 x 2,654,435,761 / 65,536 = 202,517 of the pseudonym, modulo 65,536
+    assert [o["number"] for o in seen] == [27286, 13644, 42756]
     seen = read_back(perceived.drop(columns=list(pcap.TRACKED)))
     assert [(o["velocity"], o["number"]) for o in seen] == [(None, 1), (None, 2), (None, 3)]
+
+
+def test_numbers_of_objects_do_not_tell_who_was_fabricated():
+    """Two of 20 objects are fabricated, in three messages of each of 200 pseudonyms. Numbers differ within a message,
+    stay from message to message, are new with a pseudonym, and those of fabricated objects are spread as others are."""
+    track = pd.array([*range(18), None, None], "Int32")
+    message = np.repeat(np.arange(600), 20)
+    perceived = pd.DataFrame({"observer": message // 3, "object_id": np.tile(track, 600)})
+    number = pcap._object_numbers(perceived, message).reshape(200, 3, 20)
+    assert (number == number[:, :1]).all() and number.min() >= 0 and number.max() < 2**16
+    of_pseudonym = number[:, 0]
+    assert all(len(set(row)) == 20 for row in of_pseudonym.tolist())
+    for column in of_pseudonym.T:
+        assert len(set(column)) > 195 and 0.35 < (column < 2**15).mean() < 0.65
 
 
 def test_stated_accuracies_are_confidence_values():
     """By hand: 1.96 standard deviations, in 0.01 m, 0.01 m/s, 0.1 degrees, 0.1 m. North is turned by 90 degrees."""
     perceived = pd.DataFrame([truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3).assign(**{
-        "detection_index": [1, 2, 3], "class": "car", "score": 0.5, "object_id": pd.array([1, 2, 3], "Int32"),
+        "observer": 5, "detection_index": [1, 2, 3], "class": "car", "score": 0.5,
+        "object_id": pd.array([1, 2, 3], "Int32"),
         "velocity_x_mps": 3.0, "velocity_y_mps": 0.0,
         "relative_x_std_m": [0.5, np.nan, 50.0], "relative_y_std_m": [0.2, np.nan, 50.0],
         "relative_xy_correlation": [0.3, np.nan, 0.0], "velocity_x_std_mps": [0.25, np.nan, 9.0],
