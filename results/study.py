@@ -19,7 +19,7 @@ from results.archive import OpenRun, open_run
 from results.metrics.intervals import FREE, Bounds, around
 from results.metrics.registry import METRICS, bounds_of
 from results.spreadsheet import csv_of
-from results.study_measuring import changes, measuring_in
+from results.study_measuring import changed_in, changes, measuring_in
 
 
 class StudyResults:
@@ -80,7 +80,7 @@ class StudyResults:
         kinds = {"point": "O", "what": "O", "group": "O", "value_s": "f", "n": "iu", "n_open": "iu"}
         for run, of_run in self.points.groupby("run", sort=False):
             path = self._folder / "jobs" / str(run) / "curves.parquet"
-            if path.is_file():
+            if path.is_file() or "curves.parquet" in changed_in(path.parent):
                 frames.append(_read(path, kinds))
                 continue
             if not path.with_name("measures.parquet").is_file():
@@ -268,7 +268,13 @@ def _measures(path: Path) -> pd.DataFrame:
 
 
 def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
-    """A table with these columns, each of one of these kinds. Damaged, in one line, if the file holds others."""
+    """A table with these columns, each of one of these kinds. Damaged, in one line, if it was changed or has others."""
+    study = path.parents[2]
+    if changed := changed_in(path.parent):
+        raise durable.Damaged(
+            f"{path.parent}: {', '.join(changed)} changed after the run was measured. "
+            f"`cosim sweep {study}/study.toml --out {study}` measures it again."
+        )
     try:
         found = pq.read_table(path, partitioning=None).to_pandas()
         for name, kinds in columns.items():
@@ -300,16 +306,17 @@ def runs_of(folder: Path) -> list[Path]:
 
 
 def missing_in(folder: Path) -> list[str]:
-    """What is missing of the finished points of a study, one line each."""
+    """What is missing of the finished points of a study, or was changed, one line each."""
     try:
         points = open_study(folder).points
     except ValueError as error:
         return [str(error)]
     found = []
     for run in points["run"][points.state == "finished"].unique():
-        for name in (f"runs/{run}/manifest.json", f"jobs/{run}/measures.parquet"):
-            if not (folder / name).is_file():
-                found.append(f"{name} is missing")
+        names = (f"runs/{run}/manifest.json", f"jobs/{run}/measures.parquet")
+        missing = [f"{name} is missing" for name in names if not (folder / name).is_file()]
+        changed = changed_in(folder / "jobs" / run)
+        found += missing or [f"jobs/{run}/{name} changed after the run was measured" for name in changed]
     return found
 
 

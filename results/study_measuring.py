@@ -1,13 +1,38 @@
-"""How the points of a study were measured, as `jobs/<id>/job.json` says: topics, options, and own code."""
+"""How the points of a study were measured, as `jobs/<id>/job.json` says, and whether the metrics are still those."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from cosim.base import durable
 
 OWN_CODE = "the code of measure.own"
+SUMS = "measured.json"
+"""Checksums of the tables of metrics of a job, by name. Jobs of earlier versions have none."""
+
+
+def write_measured(job: Path, tables: Mapping[str, pd.DataFrame]) -> None:
+    """Write the tables of metrics of a run, after their checksums. With the last table the run counts as measured."""
+    contents = {name: table.to_parquet(index=False) for name, table in tables.items()}
+    sums = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+    durable.write(job / SUMS, json.dumps(sums).encode())
+    for name, content in contents.items():
+        durable.write(job / name, content)
+
+
+def changed_in(job: Path) -> list[str]:
+    """Tables of metrics that are missing, or not what was written; none if the job has no checksums."""
+    if not (job / SUMS).is_file():
+        return []
+    try:
+        sums = dict(json.loads(durable.read(job / SUMS)))
+        return [name for name in sums if not (job / name).is_file() or durable.sha256(job / name) != sums[name]]
+    except (OSError, ValueError, TypeError, RecursionError):
+        return [SUMS]
 
 
 def measuring_of(asked: Mapping[str, Any]) -> dict[str, Any]:

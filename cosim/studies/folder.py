@@ -18,6 +18,7 @@ from cosim.config.data import read_toml
 from cosim.studies.plan import PlannedRun, as_data
 from cosim.studies.points import Point
 from cosim.studies.study import Study
+from results.study_measuring import SUMS
 
 STATES = ("finished", "failed", "unfinished", "waiting")
 """States of a point: its run is finished; its last attempt failed; its run has begun; nothing was done yet."""
@@ -125,7 +126,7 @@ class StudyFolder:
 
     def forget_measures(self, id: str) -> None:
         """Delete the metrics of a run, so that it is measured again."""
-        for name in ("measures.parquet", "curves.parquet"):
+        for name in ("measures.parquet", "curves.parquet", SUMS):
             (self.job(id) / name).unlink(missing_ok=True)
 
     def answers(self) -> dict[str, tuple[str, str]]:

@@ -22,7 +22,7 @@ from cosim.studies.speed import speed_here
 from cosim.studies.stages import Cache, default_folder
 from cosim.studies.study import Study, load
 from results.manifest import read_manifest
-from results.study_measuring import changes, measuring_in, measuring_of
+from results.study_measuring import changed_in, changes, measuring_in, measuring_of
 
 FUSED_TOPICS = {"detection", "attack", "evidence"}
 """Topics of metrics that need the fused objects of every point."""
@@ -148,9 +148,12 @@ def _asked(study: Study) -> dict[str, Any]:
 
 
 def _outdated(study: Study, folder: StudyFolder, finished: Collection[str]) -> dict[str, list[str]]:
-    """The finished runs that were measured otherwise than the study asks, and the keys that have changed."""
+    """The finished runs that were measured otherwise than the study asks, and the keys or tables that have changed."""
     now = measuring_of(_asked(study))
-    found = {run: changes(measuring_in(folder.job(run)), now) for run in sorted(finished)}
+    found = {}
+    for run in sorted(finished):
+        job = folder.job(run)
+        found[run] = changes(measuring_in(job), now) + changed_in(job)
     return {run: keys for run, keys in found.items() if keys}
 
 

@@ -28,6 +28,7 @@ from results.manifest import drop_tables, read_manifest
 from results.measure import measure
 from results.metrics.registry import TOPICS
 from results.own_metrics import check_own
+from results.study_measuring import write_measured
 from results.tables import TABLES
 
 _log = logging.getLogger(__name__)
@@ -81,9 +82,8 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
         if own:
             rows = check_own(function("measure.own", own)(one), f"measure.own = {own}")
             frames.append(rows.assign(point=point))
-    if curves:
-        durable.write(job / "curves.parquet", pd.concat(curves, ignore_index=True).to_parquet(index=False))
-    durable.write(job / "measures.parquet", pd.concat(frames, ignore_index=True).to_parquet(index=False))
+    tables = {"curves.parquet": curves, "measures.parquet": frames}
+    write_measured(job, {name: pd.concat(parts, ignore_index=True) for name, parts in tables.items() if parts})
 
 
 def _drop(folder: Path, kept: list[str] | None) -> None:

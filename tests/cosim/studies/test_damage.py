@@ -13,9 +13,11 @@ from cosim.cli.studies import measure
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.sweep import status
 from results.study import missing_in, open_study, runs_of
+from results.study_measuring import SUMS, write_measured
 
 HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}
 POINT = {"point": "a", "run": "a", "variant": "base", "replicate": 0, "state": "finished", "trust.host": "local"}
+CURVE = {"point": "a", "what": "ages", "group": "all", "value_s": 1.0, "n": 4, "n_open": 0}
 ROW = {"point": "a", "metric": "radio.pdr.all", "group": "", "value": 1.0, "unit": "1", "label": "x"}
 
 
@@ -96,6 +98,28 @@ def test_a_study_in_which_nothing_can_be_written(tmp_path, capsys):
 def test_measures(tmp_path, row):
     with pytest.raises(Damaged, match=r"measures.parquet is damaged \([^\n]*\). Sweep the study in another --out.$"):
         _ = study(tmp_path / "s", row=row).measures
+
+
+def test_metrics_that_were_changed_after_the_run_was_measured(tmp_path):
+    """Each row twice counted as two replicates, at n = 2, and `cosim verify` called a cut file whole."""
+    folder, job = study(tmp_path).path, tmp_path / "jobs" / "a"
+    (folder / "runs" / "a").mkdir(parents=True)
+    (folder / "runs" / "a" / "manifest.json").touch()
+    table, curves = pd.DataFrame([ROW]), pd.DataFrame([CURVE])
+    write_measured(job, {"curves.parquet": curves, "measures.parquet": table})
+    whole = (job / "measures.parquet").read_bytes()
+    found = open_study(folder)
+    assert missing_in(folder) == [] and found.summary.n.tolist() == [1] and found.curves.n.tolist() == [4]
+    pd.concat([table, table]).to_parquet(job / "measures.parquet", index=False)
+    (job / "curves.parquet").unlink()
+    for name in ("measures", "curves"):
+        with pytest.raises(Damaged, match=r"a: curves.parquet, measures.parquet changed after .* measures it again.$"):
+            getattr(open_study(folder), name)
+    (job / "measures.parquet").write_bytes(whole[:-9])
+    said = "changed after the run was measured"
+    assert missing_in(folder) == [f"jobs/a/curves.parquet {said}", f"jobs/a/measures.parquet {said}"]
+    (job / SUMS).write_text("[")
+    assert missing_in(folder) == [f"jobs/a/{SUMS} {said}"]
 
 
 def test_what_is_missing_of_finished_points(tmp_path):

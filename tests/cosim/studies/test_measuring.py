@@ -110,6 +110,18 @@ def test_runs_that_were_measured_otherwise_are_not_averaged(folder):
         open_study(folder / "out").measures  # noqa: B018
 
 
+@pytest.mark.verify
+def test_metrics_that_were_changed_are_measured_again(folder):
+    """Cut off, as by a download that ended early: `cosim sweep` had nothing to make."""
+    _, first = sweep(folder)
+    path = next(folder.glob("out/jobs/*/measures.parquet"))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-9])
+    done, again = sweep(folder)
+    assert "note: 1 finished runs were measured before measures.parquet changed." in done.stderr
+    assert again == first and path.read_bytes() == whole
+
+
 def table(*rows, value=1.0):
     return pd.DataFrame(rows, columns=["metric", "group"]).assign(value=value, unit="s", label="")
 
