@@ -170,6 +170,7 @@ def _write(plan: Plan, chosen: Selection, folder: Folder, sweeper: Sweeper, prog
     n_bytes = _estimate(plan, chosen, sweeper)
     left = [unit for unit in plan.units if unit.name not in folder.done]
     folder.check_room(n_bytes * len(left) / max(1, len(plan.units)))
+    folder.note()
     n_files = written = 0
     note = f"about {_size(n_bytes)}"
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:

@@ -78,6 +78,10 @@ class Folder:
     def finish(self, unit: str) -> None:
         """Note that all files of a unit are written."""
         self.done.append(unit)
+        self.note()
+
+    def note(self) -> None:
+        """Write down what is exported and what of it is done. From then on the export can be continued."""
         content = json.dumps({"about": self.about, "done": self.done}, indent=1)
         self.write(File(PROGRESS, content.encode))
 

@@ -67,6 +67,39 @@ def test_interrupted_and_taken_up_again(folder, vehicles, tmp_path):
     assert len(paths) == whole["files"] + 1
 
 
+CUT = """
+from pathlib import Path
+
+from cosim.extend import File, Plan
+
+
+class Cut:
+    TABLES = ("vehicles",)
+
+    def plan(self, selection):
+        return Plan.of_files([File("a.txt", lambda: b"a"), File("b.txt", self.second)])
+
+    def second(self):
+        if not Path({flag!r}).exists():
+            Path({flag!r}).touch()
+            raise KeyboardInterrupt
+        return b"b"
+"""
+
+
+def test_an_export_that_is_cut_off_in_its_first_unit_goes_on(folder, tmp_path):
+    """The folder was that of no export until then: "is not empty. Give a new folder." """
+    (tmp_path / "cut.py").write_text(CUT.format(flag=str(tmp_path / "flag")))
+    form, out = f"{tmp_path}/cut.py:Cut", tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        export(open_run(folder), form, out)
+    assert (out / "a.txt").is_file() and not (out / "b.txt").exists()
+    with pytest.raises(ValueError, match=r"another export \(other format"):
+        export(open_run(folder), "fcd", out)
+    export(open_run(folder), form, out)
+    assert (out / "b.txt").read_bytes() == b"b"
+
+
 def test_other_steps_with_the_same_ends_are_another_export(folder, vehicles, tmp_path):
     run, named = open_run(folder), ",".join(map(str, vehicles))
     export(run, "kitti", tmp_path / "out", named, "0-1,3", ["images=false"])
