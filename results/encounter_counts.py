@@ -11,13 +11,23 @@ from cosim.base.ragged import partners
 
 
 @compiled
-def slots(pair, slot, one, other):
-    """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows."""
+def index(pair, slot):
+    """The encounters by actor: where those of each begin, then the other actor and the slot of each of them."""
     a, b = pair >> 32, pair & 0xFFFFFFFF
     n = 0
     for k in range(len(pair)):
         n = max(n, b[k] + 1)
     begin, partner, pair_of = partners(a, b, n)
+    return begin, partner, slot[pair_of]
+
+
+@compiled
+def slots(begin, partner, held, one, other):
+    """Slot of the encounter of each two actors, -1 where none is under way; fast where `one` stays for many rows.
+
+    The first three are what `index` returns.
+    """
+    n = len(begin) - 1
     found = np.empty(len(one), np.int64)
     last = -1  # the actor in `one` whose encounters `slot_with` holds
     met_by = np.full(n, -1, np.int32)  # of each actor, the last one whose encounters included it
@@ -28,7 +38,7 @@ def slots(pair, slot, one, other):
             if last < n:
                 for k in range(begin[last], begin[last + 1]):
                     met_by[partner[k]] = last
-                    slot_with[partner[k]] = slot[pair_of[k]]
+                    slot_with[partner[k]] = held[k]
         whom = other[row]
         is_met = whom < n and met_by[whom] == last
         found[row] = slot_with[whom] if is_met else -1

@@ -135,6 +135,7 @@ class EncounterTracker:
         self._longest_away = math.inf if self._censors else AWAY_S / dt_s  # steps
         self._pair = np.zeros(0, np.int64)  # a << 32 | b, sorted
         self._slot = np.zeros(0, np.int64)  # where the columns hold each pair
+        self._index: tuple[ndarray, ndarray, ndarray] | None = None  # of these two; None after a change
         self._free = np.zeros(0, np.int64)  # slots that hold none
         self._live: Rows = self._columns(0)
         # Pairs, sorted, and ends of their last encounter.
@@ -350,7 +351,9 @@ class EncounterTracker:
     def _slots(self, one: ndarray, other: ndarray) -> Int[ndarray, "n"]:
         """Slot of the encounter of each two, -1 where none is under way."""
         one, other = (np.asarray(actors, np.int32) for actors in (one, other))  # the type of the compiled kernel
-        return encounter_counts.slots(self._pair, self._slot, one, other)
+        if self._index is None:
+            self._index = encounter_counts.index(self._pair, self._slot)
+        return encounter_counts.slots(*self._index, one, other)
 
     def _opened(
         self, step: int, pair: ndarray, metres: ndarray, visible: ndarray, came: ndarray, first: bool
@@ -403,6 +406,7 @@ class EncounterTracker:
         at = np.searchsorted(held, pair)
         self._pair = np.insert(held, at, pair)
         self._slot = np.insert(self._slot[keep], at, slots)
+        self._index = None
 
     def _forget(self, came: Int[ndarray, "c"], step: int) -> None:
         """Forget past encounters of actors that come back after a long time; make room for those that are new."""

@@ -125,7 +125,8 @@ def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
     A self report claims a speed along its heading, a tracked object a velocity.
     """
     found = listed.velocity_mps.copy()
-    rows = np.flatnonzero(np.isnan(found).any(axis=1))
+    is_nan = np.isnan(found)
+    rows = np.flatnonzero(is_nan[:, 0] | is_nan[:, 1])
     yaw_rad = listed.boxes.yaw_rad[rows]
     heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
     along_mps = listed.speed_mps[rows, None] * heading

@@ -49,7 +49,7 @@ Commands = tuple[Int[ndarray, "c"], Float[ndarray, "c"]]
 NO_COMMANDS: Commands = (np.zeros(0, np.int64), np.zeros(0))
 _MOST_AT_ONCE = 10
 """A signal within the first steps without sensing stops the run at once, and nothing of it is kept."""
-STATE_VERSION = 24
+STATE_VERSION = 25
 """Increase this number when the code can no longer read the states of earlier versions."""
 _EQUIPPED_PER_THREAD = 100
 """With fewer vehicles a step takes about 20 ms, and further threads cost more than they save on busy cores."""

@@ -14,7 +14,7 @@ from numpy import ndarray
 from cosim.base.ragged import expand, ptr_of
 from cosim.base.rows import Rows
 from cosim.config.config import Config
-from cosim.messages.content import SENSED, velocities
+from cosim.messages.content import SENSED
 from cosim.step.comparing import Compared
 from cosim.step.exchange import Exchange
 from cosim.step.known import Known
@@ -102,7 +102,7 @@ def _boxes_at(step: int, exchange: Exchange, messages: Known, config: Config) ->
     """All boxes at the time of a step, by the velocities that messages claim. The others stay where they are."""
     since = exchange.now.step if config.extrapolate else messages.step[messages.detections.message]
     forward_s = (step - since) * config.traffic.step_s
-    return extrapolated(messages.objects.boxes, velocities(messages.objects), forward_s)
+    return extrapolated(messages.objects.boxes, messages.velocity_mps, forward_s)
 
 
 def _moved_sigma_m(
@@ -115,7 +115,7 @@ def _moved_sigma_m(
     p, label = parts.config.tracking, messages.detections.label[body]
     of_track = _of_tracks(exchange, messages, body, label, parts)[:, 0]
     of_class = (np.square(p.along_mean_mps) + np.square(p.along_sigma_mps))[label]
-    is_unknown = np.isnan(velocities(messages.objects)[body]).any(axis=1)
+    is_unknown = np.isnan(messages.velocity_mps[body]).any(axis=1)
     velocity_variance = np.where(is_unknown, of_class, of_track)
     acceleration_noise = np.asarray(p.acceleration_noise)[label]
     return np.sqrt(velocity_variance * age_s**2 + acceleration_noise * age_s**3 / 3.0)
@@ -201,10 +201,9 @@ def _speed(
     self report says nothing here, because its sender could only be denied.
     """
     lists, groups, of = compared.lists, compared.groups, compared.lists.of_member()
-    objects = messages.objects
     by = messages.detections.message[compared.lists.member]
     p = parts.config.tracking
-    claimed_mps = velocities(objects)
+    claimed_mps = messages.velocity_mps
     foreign = messages.vehicle[by] != exchange.vehicles.senses[of]
     reports_itself = np.zeros(len(messages.vehicle), bool)
     reports_itself[messages.detections.message[messages.detections.is_self]] = True

@@ -15,7 +15,7 @@ from numpy import ndarray
 from cosim.base.ragged import offsets, ptr_of, ranges
 from cosim.base.rows import Rows
 from cosim.base.threads import in_parts, n_threads
-from cosim.messages.content import FABRICATED, velocities
+from cosim.messages.content import FABRICATED
 from cosim.step.accuracy import ALONG_BOTH, pose_variance
 from cosim.step.exchange import Exchange, Senders
 from cosim.step.known import Known, Pairs, Uses
@@ -214,7 +214,7 @@ class Comparison:
             partners=Partners.of(pairs, len(messages.detections), params),
             sweeps=sweeps,
             bodies=positioned.world.boxes.take(exchange.sensing.row),
-            velocity_mps=np.nan_to_num(velocities(objects)),
+            velocity_mps=np.nan_to_num(messages.velocity_mps),
             accuracy=RelativeAccuracy(objects.variance_m2, own_m2),
             from_own_m=_from_own_m(exchange, messages, n_now, sweeps.poses.origin_m, params),
             stated=_accuracy(exchange, messages, positioned, parts),

@@ -142,6 +142,7 @@ class Inbox:
             since=now - interval + 1,
             earlier_m=inbox.from_own_m,
             earlier_pairs=inbox.pairs,
+            velocity_mps=velocities(listed.objects),
             moved_m=np.zeros((len(listed.objects), 2)) if parts.config.extrapolate else None,
         )
         if not len(inbox.step):
@@ -160,10 +161,10 @@ class Inbox:
         target, there = rows_of(self.objects.target, world.actor)
         actor_row, exists = rows_of(self.truth.actor_row, world.actor)
         old = self.objects.boxes
-        boxes, moved_m = old, None
+        boxes, moved_m, velocity_mps = old, None, velocities(self.objects)
         of = owner_of_rows(np.diff(self.ptr))  # message of each detection
         if age_s is not None:
-            boxes = extrapolated(old, velocities(self.objects), age_s[of])
+            boxes = extrapolated(old, velocity_mps, age_s[of])
             old_moved_m = boxes.xyz_m[:, :2] - old.xyz_m[:, :2]
             moved_m = np.concatenate([np.zeros((d, 2)), old_moved_m])
         objects = replace(self.objects, observer=row, target=np.where(there, target, row), boxes=boxes)
@@ -191,6 +192,7 @@ class Inbox:
             pseudonym=pseudonym,
             step=step,
             earlier_pairs=(d + i, d + j, iou),
+            velocity_mps=np.concatenate([now.velocity_mps, velocity_mps]),
             moved_m=moved_m,
         )
 

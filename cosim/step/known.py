@@ -70,6 +70,8 @@ class Known:
     """Distance of each detection of the earlier messages from the sensor of its sender when it was made."""
     earlier_pairs: Pairs
     """Overlapping detections among the earlier messages; rows of `objects`."""
+    velocity_mps: Float[ndarray, "d 2"]
+    """Velocity that each detection claims, east and north; NaN where it claims none."""
     moved_m: Float[ndarray, "d 2"] | None
     """How far the boxes have been moved by their velocities since they were sent, east and north. None if they are
     where the messages say."""

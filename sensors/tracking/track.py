@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.kernel import compiled
-from cosim.base.ragged import ranges, rows_of, stable_order
+from cosim.base.ragged import ranges, rows_of
 from cosim.base.threads import in_ranges
 from sensors.tracking.motion import (
     along_and_across,
@@ -87,22 +87,21 @@ def track(
     kept = now_s - old.last_s <= params.keep_s + 1e-9  # those of observers that have left end here too
     waiting = old.take(np.flatnonzero(kept & ~due))
     rows = np.flatnonzero(kept & due)
+    rows = rows[np.lexsort((old.object_id[rows], old.observer[rows]))]
     tracks = predicted(old.take(rows), now_s[rows], params)
     t, d = assigned(tracks, found, params)
     again = updated(tracks.take(t), found.take(d), params)
     missed, fresh = _others(t, len(tracks)), _others(d, len(found))
     known, n_objects, object_id = _numbered(memory, found.observer[fresh])
     new = begun(found.take(fresh), object_id, observers, row[fresh], params)
-    joined = Tracks.concat([again, new, tracks.take(missed), waiting])
     of_detection = np.empty(len(found), np.int64)
     of_detection[np.append(d, fresh)] = np.arange(len(found))
-    of_detections = joined.take(of_detection)
+    of_detections = Tracks.concat([again, new]).take(of_detection)
     motion = mean_motion(of_detections)
     velocity_mps = east_and_north(motion[:, :, VELOCITY], of_detections.axis)
     velocity_mps[of_detections.n_hits < params.confirm_hits] = np.nan
-    order = stable_order(joined.object_id)
-    tracks = joined.take(order.take(stable_order(joined.observer.take(order))))
-    return TrackMemory(tracks, known, n_objects), ObjectStates(
+    memory = TrackMemory(Tracks.concat([waiting, of_detections, tracks.take(missed)]), known, n_objects)
+    return memory, ObjectStates(
         object_id=of_detections.object_id,
         age_s=of_detections.time_s - of_detections.first_s,
         velocity_mps=velocity_mps,

@@ -16,7 +16,7 @@ PLACE, VELOCITY, XX, XV, VV = range(5)
 
 @dataclass(frozen=True, slots=True)
 class Tracks(Rows):
-    """N tracks, sorted by (observer, object_id), in the frame of the detections."""
+    """N tracks, in the frame of the detections."""
 
     observer: Int[ndarray, "n"]
     """Any number that identifies the observer, the same in every call."""

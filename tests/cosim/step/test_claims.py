@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.config.config import resolve_data
-from cosim.messages.content import SELF, SENSED
+from cosim.messages.content import SELF, SENSED, velocities
 from cosim.step.claims import claims_of
 from cosim.step.parts import check_choices
 from sensors.tracking.motion import confirmed_variance
@@ -58,6 +58,7 @@ class Scene:
         step, since = np.append(np.full(n, 7), [3, 4, 6]), np.append(4, np.full(n - 1, 3))
         self.messages = SimpleNamespace(
             objects=objects, detections=detections, ptr=np.append(0, np.cumsum(size)), vehicle=vehicle, step=step,
+            velocity_mps=velocities(objects),
             detection_step=lambda d: step[message[d]], is_new=lambda v, d: step[message[d]] >= since[v],
         )  # fmt: skip
         self.since = since
