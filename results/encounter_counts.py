@@ -17,8 +17,7 @@ def index(pair, slot):
     n = 0
     for k in range(len(pair)):
         n = max(n, b[k] + 1)
-    begin, partner, pair_of = partners(a, b, n)
-    return begin, partner, slot[pair_of]
+    return partners(a, b, slot, n)
 
 
 @compiled

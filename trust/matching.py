@@ -159,8 +159,7 @@ class Partners(NamedTuple):
         kept = pairs[2] > least  # False for a NaN
         i, j, value = pairs if kept.all() else (column[kept] for column in pairs)
         i, j = (np.ascontiguousarray(rows, np.int32) for rows in (i, j))
-        ptr, other, pair = partners(i, j, n)
-        return Partners(ptr, other, float64(value)[pair])
+        return Partners(*partners(i, j, float64(value), n))
 
 
 def match(

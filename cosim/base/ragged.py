@@ -174,8 +174,8 @@ def counting_order(value, n):
 
 
 @compiled
-def partners(a, b, n):
-    """Partners of each of n things that are in pairs: compressed rows, each with the partner and the pair, by pair."""
+def partners(a, b, value, n):
+    """Partners of each of n things that are in pairs: compressed rows, each with the partner and the pair's value."""
     ptr = np.zeros(n + 1, np.int64)
     for pair in range(len(a)):
         ptr[a[pair] + 1] += 1
@@ -184,10 +184,10 @@ def partners(a, b, n):
         ptr[i + 1] += ptr[i]
     at = ptr.copy()
     other = np.empty(2 * len(a), np.int32)
-    pair_of = np.empty(2 * len(a), np.int32)
+    of_pair = np.empty(2 * len(a), value.dtype)
     for pair in range(len(a)):
         one, two = a[pair], b[pair]
         for i, j in ((one, two), (two, one)):
-            other[at[i]], pair_of[at[i]] = j, pair
+            other[at[i]], of_pair[at[i]] = j, value[pair]
             at[i] += 1
-    return ptr, other, pair_of
+    return ptr, other, of_pair
