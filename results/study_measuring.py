@@ -30,9 +30,14 @@ def changed_in(job: Path) -> list[str]:
         return []
     try:
         sums = dict(json.loads(durable.read(job / SUMS)))
-        return [name for name in sums if not (job / name).is_file() or durable.sha256(job / name) != sums[name]]
+        return [name for name in sums if _digest(job / name) != sums[name]]
     except (OSError, ValueError, TypeError, RecursionError):
         return [SUMS]
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; empty if there is none."""
+    return durable.sha256(path) if path.is_file() else ""
 
 
 def measuring_of(asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -373,8 +373,7 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
                             continue
                         if len(a.owner) and a.owner[i] == b.owner[j]:
                             continue
-                        z = a.xyz[i, 2] - b.xyz[j, 2]
-                        if abs(z) - 0.5 * (a.lwh[i, 2] + b.lwh[j, 2]) > _ROOM_BETWEEN_M:
+                        if _are_above_each_other(a, i, b, j):
                             continue
                         square = _square(a, i, b, j, x, y)
                         iou = 0.0
@@ -397,6 +396,14 @@ def _search_chunk(chunk, a, b, is_same, reach_m, most, least_iou, out, room):
                             here.square, here.iou, here.i, here.j = square, iou, one, other
                         n += 1
     return n
+
+
+@inlined
+def _are_above_each_other(a, i, b, j):
+    """Whether two boxes have more height between them than errors explain."""
+    apart = abs(a.xyz[i, 2] - b.xyz[j, 2])
+    heights = a.lwh[i, 2] + b.lwh[j, 2]
+    return apart - 0.5 * heights > _ROOM_BETWEEN_M
 
 
 @inlined

@@ -58,7 +58,8 @@ LABEL_OF_SHAPE: UInt8[ndarray, "shape"] = np.array([_CLASS_OF[shape] for shape i
 """`ObjectClass` of each `Shape`."""
 
 _STACKS = tomllib.loads(Path(__file__).with_name("bodies.toml").read_text(encoding="utf-8"))
-_BODIES = [(shape, body["from_m"], body["prisms"]) for shape in Shape for body in _STACKS[shape.name.lower()]]
+_STACKED = [(shape, body) for shape in Shape for body in _STACKS[shape.name.lower()]]
+_BODIES = [(shape, body["from_m"], body["prisms"]) for shape, body in _STACKED]
 _PARTS = np.array([part for *_, stack in _BODIES for part in stack])
 _FIRST_PART = np.cumsum([0] + [len(stack) for *_, stack in _BODIES])
 """Row of `_PARTS` at which the prisms of each body begin."""

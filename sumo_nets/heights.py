@@ -16,7 +16,8 @@ CLEARANCE_M = 4.5
 TALLEST_M = 900.0
 """Larger heights are taken for typing errors; the tallest building is 828 m tall."""
 
-_BY_KIND_M: dict[str, float] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLE = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+_BY_KIND_M: dict[str, float] = tomllib.loads(_TABLE)
 OPEN_BELOW = frozenset(("roof", "canopy", "carport", "bridge"))
 """Kinds that stand on posts."""
 _UNIT_M = {**dict.fromkeys(("ft", "feet", "foot", "'", "′", "’"), 0.3048), "cm": 0.01, "km": 1000.0}

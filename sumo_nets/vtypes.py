@@ -21,7 +21,8 @@ class VehicleType(NamedTuple):
 
 
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-SIZES_M: dict[str, tuple[float, float, float]] = {vclass: tuple(size) for vclass, size in _TABLES["size_m"].items()}
+SIZES_M: dict[str, tuple[float, float, float]]
+SIZES_M = {vclass: tuple(size) for vclass, size in _TABLES["size_m"].items()}
 """Length, width and height that SUMO gives to a class by default [m]."""
 _DEFAULT, _NAMED, _WORDS = _TABLES["default"], _TABLES["named"], _TABLES["word"]
 _NAMES = (*SIZES_M, *_DEFAULT, *_NAMED, *_WORDS, "car")

@@ -188,6 +188,7 @@ def partners(a, b, value, n):
     for pair in range(len(a)):
         one, two = a[pair], b[pair]
         for i, j in ((one, two), (two, one)):
-            other[at[i]], of_pair[at[i]] = j, value[pair]
+            row = at[i]
+            other[row], of_pair[row] = j, value[pair]
             at[i] += 1
     return ptr, other, of_pair

@@ -124,10 +124,12 @@ class Links:
 
     def __post_init__(self) -> None:
         n, m = len(self.key), len(self.receiver)
-        assert len(self.ptr) == n + 1 and self.ptr[0] == 0 and self.ptr[-1] == m
+        assert len(self.ptr) == n + 1
+        assert self.ptr[0] == 0 and self.ptr[-1] == m
         assert (np.diff(self.ptr) >= 0).all(), "ptr rises"
         assert len(self.power_mw) == len(self.fading) == m
-        assert self.receiver.min(initial=0) >= 0 and self.receiver.max(initial=-1) < n, "receivers are stations"
+        lowest, highest = self.receiver.min(initial=0), self.receiver.max(initial=-1)
+        assert lowest >= 0 and highest < n, "receivers are stations"
         assert self.fading.max(initial=0) < len(fading_quantiles()), "classes of fading are known"
         for name, dtype in (("receiver", np.int32), ("power_mw", np.float32), ("fading", np.uint8)):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype))

@@ -298,7 +298,8 @@ class Drive:
         is_high = sensor_m > config.area.height_m
         if not (config.sensing and is_high.any()):
             return {}
-        about = {"n": int(is_high.sum()), "equipped": len(is_high), "highest_m": round(float(sensor_m.max()), 2)}
+        about: dict[str, Any] = {"n": int(is_high.sum()), "equipped": len(is_high)}
+        about["highest_m"] = round(float(sensor_m.max()), 2)
         return {"high_sensors": about | {"area_height_m": config.area.height_m}}
 
     def _n_placed(self) -> int:

@@ -82,8 +82,9 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
         if own:
             rows = check_own(function("measure.own", own)(one), f"measure.own = {own}")
             frames.append(rows.assign(point=point))
-    tables = {"curves.parquet": curves, "measures.parquet": frames}
-    write_measured(job, {name: pd.concat(parts, ignore_index=True) for name, parts in tables.items() if parts})
+    parts_of = {"curves.parquet": curves, "measures.parquet": frames}
+    tables = {name: pd.concat(parts, ignore_index=True) for name, parts in parts_of.items() if parts}
+    write_measured(job, tables)
 
 
 def _drop(folder: Path, kept: list[str] | None) -> None:
