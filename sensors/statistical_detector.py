@@ -69,7 +69,7 @@ class DetectorParams:
     """Spread of the log-odds."""
     xy_sigma_m: NotNegative | None = None
     """Smallest position error along and across the box [m]."""
-    xy_sigma_per_m: Share | None = None
+    xy_sigma_per_m: Annotated[float, Ge(0), Le(1)] | None = None
     """Position error gained per metre of range [m/m]."""
     xy_sigma_sparse_m: NotNegative | None = None
     """Position error of an object with one return, falling with the square root of the returns [m]."""

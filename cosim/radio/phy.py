@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Int
 from numpy import ndarray
 
-from cosim.base.bounds import Positive1000, PositiveShare
+from cosim.base.bounds import Positive1000
 
 BANDWIDTH_HZ = 10e6
 PREAMBLE_NS = 4_000
@@ -85,7 +85,7 @@ class ReceiverParams:
     """Whether a stronger late frame may take the receiver over from the frame being received."""
     capture_margin_db: Annotated[float, Ge(0), Le(60)] = 5.0
     """By how much the late frame must be stronger [dB]."""
-    capture_window_s: PositiveShare = 16e-6
+    capture_window_s: Annotated[float, Gt(0), Le(1)] = 16e-6
     """How long after its start a reception can be taken over [s]."""
 
     def __post_init__(self) -> None:

@@ -9,9 +9,8 @@ References
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le
 
-from cosim.base.bounds import PositiveShare
 from cosim.radio.segmentation import ENVELOPE_BYTES
 from cosim.radio.sidelink_phy import (
     LTE_RBS,
@@ -41,7 +40,7 @@ def _one_of(key: str, value: object, allowed: object, unit: str = "") -> None:
 class SidelinkParams:
     """Resource selection of the sidelink, for the radio models `nr_mode2` and `lte_mode4`."""
 
-    reservation_s: PositiveShare | None = None
+    reservation_s: Annotated[float, Gt(0), Le(1)] | None = None
     """Reservation interval [s]. If it is not set, it is the interval between a station's last two messages of a kind,
     where the standard allows it; otherwise nothing is reserved."""
     keep_p: Annotated[float, Ge(0), Le(0.8)] = 0.8
@@ -56,7 +55,7 @@ class SidelinkParams:
     raised by 3 dB until enough candidates remain."""
     share: Annotated[float, Ge(0.2), Le(0.5)] = 0.2
     """Share of the candidates of the selection window that must remain: 0.2, 0.35 or 0.5 (with LTE: 0.2)."""
-    window_s: PositiveShare = 0.1
+    window_s: Annotated[float, Gt(0), Le(1)] = 0.1
     """Length of the selection window after generation, T2 [s]. It ends with the round at the latest."""
     n_transmissions: Annotated[int, Ge(1), Le(3)] = 1
     """Transmissions of each message, without feedback (blind HARQ repetitions included): 1 to 3 (with LTE: 2)."""

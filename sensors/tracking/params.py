@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from cosim.base.bounds import NotNegative1000, Positive1000, PositiveShare
+from cosim.base.bounds import NotNegative1000, Positive1000
 
 Positive = tuple[Positive1000, Positive1000, Positive1000, Positive1000]
 """One value per class: car, pedestrian, cyclist, truck."""
@@ -48,7 +48,7 @@ class TrackingParams:
     """Share of the observer's own speed that the standard deviation of the speed is at least, likewise."""
     gate_p: _Share = 0.99
     """Probability that the next detection of a tracked object is inside the track's gate."""
-    other_per_m2: PositiveShare = 0.001
+    other_per_m2: Annotated[float, Gt(0), Le(1)] = 0.001
     """Density of the detections near a track that are not of its object, in one sweep [1/m2]. A detection may continue
     a track only if the track predicts it with a higher density."""
     confirm_hits: Annotated[int, Ge(1), Le(1000)] = 3
