@@ -8,7 +8,7 @@ from numpy import ndarray
 
 from cosim.attacks.attack import AttackContext, fabricated
 from cosim.base import rng
-from cosim.base.ragged import place_in_group
+from cosim.base.ragged import differs_from_last, place_in_group
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from sensors.boxes import Boxes
 
@@ -17,7 +17,7 @@ N_ALIKE = 8
 _KEPT = 64
 """Detections of each class that are kept for steps in which there are none."""
 _SHUFFLE = np.uint64(1 << 32)
-"""Names the draws of the order of detections; attacks have smaller numbers."""
+"""Names the draws of the order of equal scores; attacks have smaller numbers."""
 
 
 def ghosts(
@@ -134,18 +134,21 @@ def _alike(
     return chosen
 
 
-def shuffled(
+def numbered(
     listed: Detections,
     name_key: UInt64[ndarray, "n"],
     seed: int,
     step: int,
 ) -> tuple[Detections, Int[ndarray, "d"]]:
-    """The lists with the numbers of detections in random order, where a vehicle has fabricated any.
+    """The lists with detections numbered by falling score, as detectors number them. Self reports keep number 0.
 
-    Fabricated detections would otherwise have the highest numbers. Self reports keep number 0.
+    Fabricated detections would otherwise have the highest numbers, and a list in any other order than those of honest
+    vehicles would tell that it was changed. Among equal scores, chance decides in lists with fabricated detections.
 
     Parameters
     ----------
+    listed
+        Sorted by key.
     name_key
         Key of the name of each actor, by row of the world.
 
@@ -153,18 +156,22 @@ def shuffled(
     -------
     The lists, sorted by their key again, and the row of `listed` of each of their rows.
     """
-    is_own = listed.identity == 0
-    liars = np.unique(listed.observer[is_own & (listed.origin == FABRICATED)])
-    of_liars = is_own & np.isin(listed.observer, liars)
-    rows = np.flatnonzero(of_liars & (listed.origin != SELF))
+    begins = differs_from_last(listed.observer) | differs_from_last(listed.identity)
+    of_list = np.cumsum(begins) - 1
+    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))
+    rises = np.diff(listed.score, prepend=np.inf) > 0
+    is_next = ~begins & ~np.roll(is_self, 1)
+    is_lie = listed.origin == FABRICATED
+    lies = np.isin(of_list, of_list[is_lie])
+    rows = np.flatnonzero(~is_self & (lies | np.isin(of_list, of_list[rises & is_next])))
     if not len(rows):
         return listed, np.arange(len(listed))
-    observer = listed.observer[rows]
     index = listed.detection_index.copy()
     key = rng.key(seed, rng.Stream.ATTACK, step)
-    draw = rng.uniforms(key, _SHUFFLE, name_key[observer], index[rows])[:, 0]
-    drawn = rows[np.lexsort((draw, observer))]
-    index[drawn] = index[rows]
+    draw = rng.uniforms(key, _SHUFFLE, name_key[listed.observer[rows]], index[rows])[:, 0]
+    draw[~lies[rows]] = 0.0
+    by_score = rows[np.lexsort((draw, -listed.score[rows], of_list[rows]))]
+    index[by_score] = index[rows]
     again = replace(listed, detection_index=index)
-    order = np.lexsort((index, listed.identity, listed.observer))
+    order = np.lexsort((index, of_list))
     return again.take(order), order

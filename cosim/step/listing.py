@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.attacks.adversary import ActiveAttacks
-from cosim.attacks.disguise import shuffled
+from cosim.attacks.disguise import numbered
 from cosim.messages.content import (
     SELF,
     SENSED,
@@ -131,7 +131,7 @@ def list_objects(
     truth = ground_truth_of(objects, world, observed, sensing.row, lied)
     withheld = is_sensed & ~said.transmitted
     was_sensed = np.cumsum(is_sensed) - 1
-    objects, order = shuffled(objects, world.name_key, parts.config.seed, world.step)
+    objects, order = numbered(objects, world.name_key, parts.config.seed, world.step)
     tracks = positioned.objects
     if tracks is not None:
         tracks = tracks.take(was_sensed[order[objects.origin == SENSED]])

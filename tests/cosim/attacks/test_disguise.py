@@ -1,12 +1,13 @@
 """Fabricated detections among real ones: no single column of a message tells which is which."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import rankdata
 
-from cosim.attacks.disguise import ghosts, shuffled
+from cosim.attacks.disguise import ghosts, numbered
 from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
 from sensors.boxes import Boxes
 from tests.sensors.town import boxes_at
@@ -40,7 +41,8 @@ def a_step(seed=3):
     speed = np.where(rng.random(n) < 0.2, np.nan, rng.exponential(5, n))
     speed[origin == SELF] = np.nan
     listed.velocity_mps[:] = speed[:, None] * np.column_stack([np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)])
-    return listed, place_m, rng
+    by_score = np.lexsort((-score, index > 0, observer))  # as detectors number them, behind the self report
+    return replace(listed.take(by_score), detection_index=index), place_m, rng
 
 
 def context_of(place_m, memory=None):
@@ -69,7 +71,7 @@ def with_ghosts():
 def test_no_column_tells_a_ghost(label):
     made, _ = with_ghosts()
     keys = np.arange(N_VEHICLES).astype(np.uint64)
-    made, _ = shuffled(made, keys, 7, 12)
+    made, _ = numbered(made, keys, 7, 12)
     of_class = (made.origin != SELF) & (made.label == label)
     made = made.take(np.flatnonzero(of_class))
     is_lie = made.origin == FABRICATED
@@ -111,17 +113,40 @@ def test_a_class_that_is_not_in_the_step_comes_from_earlier_ones():
     assert made.score.tolist() == [1.0] and np.isnan(made.velocity_mps).all()  # nothing to resemble
 
 
-def test_numbers_are_shuffled_only_where_something_is_fabricated():
+def test_no_order_tells_a_list_with_ghosts():
+    """In all lists, the number of a detection is its place by falling score, behind the self report."""
     made, listed = with_ghosts()
     keys = np.arange(N_VEHICLES).astype(np.uint64)
-    honest, order = shuffled(listed, keys, 7, 12)
+    honest, order = numbered(listed, keys, 7, 12)
     assert honest is listed and (order == np.arange(len(listed))).all()
     few = made.take(np.flatnonzero((made.origin != FABRICATED) | (made.observer < 5)))
-    mixed, order = shuffled(few, keys, 7, 12)
-    assert (np.diff(mixed.observer * 1000 + mixed.detection_index) > 0).all()
+    mixed, order = numbered(few, keys, 7, 12)
     np.testing.assert_array_equal(mixed.score, few.score[order])
-    untouched = mixed.observer >= 5
-    assert (order[untouched] == np.flatnonzero(few.observer >= 5)).all()
-    assert (mixed.origin[mixed.detection_index == 0] == SELF).all()
-    again, _ = shuffled(few, keys, 7, 13)
-    assert (again.origin != mixed.origin).any()
+    assert (order[mixed.observer >= 5] == np.flatnonzero(few.observer >= 5)).all()
+    for observer in range(N_VEHICLES):
+        mine = np.flatnonzero(mixed.observer == observer)
+        assert mixed.detection_index[mine].tolist() == list(range(N_SEEN + 2 * (observer < 5)))
+        assert mixed.origin[mine[0]] == SELF and (np.diff(mixed.score[mine[1:]]) <= 0).all()
+
+
+def test_chance_numbers_ghosts_among_equal_scores():
+    made, _ = with_ghosts()
+    made.score[:] = 1.0
+    keys = np.arange(N_VEHICLES).astype(np.uint64)
+    one, _ = numbered(made, keys, 7, 12)
+    again, _ = numbered(made, keys, 7, 13)
+    assert (one.origin != again.origin).any()
+    others = one.origin != SELF
+    assert 0.4 < auc(one.detection_index[others], one.origin[others] == FABRICATED) < 0.6
+
+
+def test_a_list_with_scores_of_ones_own_is_numbered_by_them():
+    """Scores 0.3, 0.9, 0.6 behind a self report, and of another identity, whose number 0 claims to be one."""
+    listed, _, _ = a_step()
+    keys = np.arange(N_VEHICLES).astype(np.uint64)
+    rows = np.flatnonzero(listed.observer == 3)[:4]
+    own = replace(listed.take(rows), score=np.array([1.0, 0.3, 0.9, 0.6]))
+    other = replace(own, identity=np.ones(4, np.uint8), origin=np.full(4, FABRICATED, np.uint8))
+    for identity in (own, other):
+        found, order = numbered(identity, keys, 7, 12)
+        assert order.tolist() == [0, 2, 3, 1] and found.detection_index.tolist() == [0, 1, 2, 3]
