@@ -84,12 +84,14 @@ PROJECTION = b"cosim.projection"
 
 OBSERVED = b"cosim.observed"
 """Key of the metadata of a trace of `cosim trace`: its actors come into view and leave it, and no timestep is lost."""
+OBSERVED_COLUMN = "vehicle_observed"
+"""A column that says the same: programs that filter a trace and write it again keep columns, and no metadata."""
 
 
 def projection_of(path: Path) -> Projection | None:
     """The projection of positions that `cosim trace` was given in degrees. None for any other trace."""
     try:
-        text = _metadata(path).get(PROJECTION)
+        text = (_schema(path).metadata or {}).get(PROJECTION)
         return None if text is None else Projection(*map(float, text.decode().split()))
     except (ValueError, TypeError):
         return None
@@ -97,16 +99,18 @@ def projection_of(path: Path) -> Projection | None:
 
 def is_observed(path: Path) -> bool:
     """Whether `cosim trace` made the trace."""
-    return OBSERVED in _metadata(path)
+    schema = _schema(path)
+    return OBSERVED_COLUMN in schema.names or OBSERVED in (schema.metadata or {})
 
 
-def _metadata(path: Path) -> dict[bytes, bytes]:
+def _schema(path: Path) -> pa.Schema:
+    """Columns and metadata of a Parquet file; an empty schema of any other file."""
     if not path.name.endswith(".parquet"):
-        return {}
+        return pa.schema([])
     try:
-        return pq.read_schema(path).metadata or {}
+        return pq.read_schema(path)
     except (pa.ArrowException, OSError):
-        return {}
+        return pa.schema([])
 
 
 def _xml(path: Path) -> Iterator[Timestep]:

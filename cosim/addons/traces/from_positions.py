@@ -16,7 +16,7 @@ from cosim.addons.traces.positions import Fixes
 from cosim.addons.traces.tracks import Positions, PositionTracks, TrackParams, steps, tracks
 from cosim.base import durable
 from cosim.base.durable import PARTIAL
-from cosim.traffic.fcd import OBSERVED, PROJECTION, Timestep
+from cosim.traffic.fcd import OBSERVED, OBSERVED_COLUMN, PROJECTION, Timestep
 from cosim.traffic.frame import TrafficError
 from cosim.traffic.source import class_counts
 
@@ -174,5 +174,6 @@ def _table(timestep: Timestep) -> pa.Table:
             "vehicle_length": timestep.lwh_m[:, 0],
             "vehicle_width": timestep.lwh_m[:, 1],
             "vehicle_height": timestep.lwh_m[:, 2],
+            OBSERVED_COLUMN: np.ones(len(timestep.names), bool),
         }
     )

@@ -1,5 +1,8 @@
 """Positions from elsewhere become a trace: directions, speeds and places are those of the motion."""
 
+from pathlib import Path
+
+import duckdb
 import numpy as np
 import pandas as pd
 import pytest
@@ -112,6 +115,19 @@ def test_a_run_takes_a_vehicle_after_a_gap_for_the_same(tmp_path):
         assert found.encounters[["start_step", "end_step"]].to_numpy().tolist() == [[0, 20], [64, 80]]
         assert found.encounters.gap_s.tolist()[1] == 44 and len(found.vehicles) == 2
         assert found.encounters.censored_left.all() and found.encounters.censored_right.all()
+
+
+def test_a_trace_that_pandas_or_duckdb_wrote_again_is_still_of_positions(tmp_path):
+    """Without its metadata, who came into view had entered the road: encounters were complete that had begun before."""
+    written(tmp_path, pd.DataFrame({"id": "a", "time": [0, 1, 2], "x": [0.0, 9, 18], "y": 0.0}))
+    made, again, sumo = (str(tmp_path / f"{name}.parquet") for name in ("out", "again", "sumo"))
+    table = pd.read_parquet(made)
+    duckdb.read_parquet(made).write_parquet(again)
+    assert fcd.is_observed(Path(made)) and fcd.is_observed(Path(again))
+    table.to_parquet(again)
+    assert fcd.is_observed(Path(again))
+    table.drop(columns=fcd.OBSERVED_COLUMN).to_parquet(sumo)
+    assert not fcd.is_observed(Path(sumo))
 
 
 @pytest.mark.parametrize("hz", [30000 / 1001, 0.4, slow(60), slow(12.5), slow(10 / 3), slow(1)])
