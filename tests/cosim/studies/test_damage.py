@@ -109,7 +109,8 @@ def test_metrics_that_were_changed_after_the_run_was_measured(tmp_path):
     write_measured(job, {"curves.parquet": curves, "measures.parquet": table})
     whole = (job / "measures.parquet").read_bytes()
     found = open_study(folder)
-    assert missing_in(folder) == [] and found.summary.n.tolist() == [1] and found.curves.n.tolist() == [4]
+    assert missing_in(folder) == []
+    assert found.summary.n.tolist() == [1] and found.curves.n.tolist() == [4]
     pd.concat([table, table]).to_parquet(job / "measures.parquet", index=False)
     (job / "curves.parquet").unlink()
     for name in ("measures", "curves"):
