@@ -17,6 +17,11 @@ KEY = ["at", "observer", "detection_index"]
 FABRICATED, SELF = int(Origin.FABRICATED), int(Origin.SELF)
 
 
+def attacked(attack, keys=(), **world):
+    """Tables of some steps in which the liars carry out this attack."""
+    return play([BY | {"attack": attack} | dict(keys)], **world)
+
+
 @pytest.fixture(scope="module")
 def honest():
     return play()
@@ -53,7 +58,7 @@ def assert_others_untouched(tables, honest):
 
 def test_approaching_ghost(honest):
     """60 m ahead of the nearest neighbour, 5 m nearer in every message."""
-    tables = play([BY | {"attack": "approaching_ghost"}])
+    tables = attacked("approaching_ghost")
     ghosts = lies_of(tables)
     assert len(ghosts) == 6 * len(LIARS) and (ghosts.origin == FABRICATED).all()
     world = tables["actors"].merge(ghosts, on="at", suffixes=("", "_ghost"))
@@ -65,7 +70,7 @@ def test_approaching_ghost(honest):
 
 def test_approaching_ghost_comes_as_near_as_it_should():
     """Three times 0.1 m from 60.3 m on are 60 m, in the fourth message; 0.3 / 0.1 is 2.99."""
-    tables = play([BY | {"attack": "approaching_ghost", "from_m": 60.3, "to_m": 60.0, "step_m": 0.1}], 4)
+    tables = attacked("approaching_ghost", {"from_m": 60.3, "to_m": 60.0, "step_m": 0.1}, n_steps=4)
     world = tables["actors"].merge(lies_of(tables), on="at", suffixes=("", "_ghost"))
     for number, ahead_m in enumerate((60.3, 60.2, 60.1, 60.0)):
         assert np.isclose(world.x_m_ghost - world.x_m, ahead_m, atol=1e-5)[world["at"] == number].any()
@@ -74,7 +79,7 @@ def test_approaching_ghost_comes_as_near_as_it_should():
 @pytest.mark.parametrize("more", [{}, {"left_m": -2.0, "ahead_m": 9.0}])
 def test_trust_flip(honest, more):
     """The nearest neighbour of each attacker detects a car before it; nobody lies, and nothing else changes."""
-    tables = play([BY | {"attack": "trust_flip"} | more])
+    tables = attacked("trust_flip", more)
     rows = tables["detections"]
     is_phantom = (rows.origin == 0) & rows.target.notna()
     found = rows[is_phantom]
@@ -98,27 +103,27 @@ def test_trust_flip(honest, more):
 
 def test_trust_flip_misleads_by_chance_and_once_per_victim():
     """Two attackers of one victim make one phantom, and a detector that is never misled reports none."""
-    one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
+    one = {"victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
     for misled_p, expected in ((1.0, 3), (0.0, 0)):
-        rows = play([BY | one | {"misled_p": misled_p}], 3)["detections"]
+        rows = attacked("trust_flip", one | {"misled_p": misled_p}, n_steps=3)["detections"]
         assert ((rows.origin == 0) & rows.target.notna()).sum() == expected
 
 
 def test_trust_flip_takes_the_nearest_free_place():
     """The next car is 17 m ahead: 9 m from a place at 8 m, 3 m from one at 14 m, 7 m from one at 24 m."""
-    one = {"attack": "trust_flip", "victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
+    one = {"victim": "one", "victim_id": "v12", "victim_range_m": 60.0}
     for more, ahead_m in (({}, [8.0]), ({"ahead_m": 14.0}, [24.0]), ({"ahead_m": 14.0, "farthest_m": 23.5}, [])):
-        tables = play([BY | one | more], 1)
+        tables = attacked("trust_flip", one | more, n_steps=1)
         rows = tables["detections"]
         found = rows[(rows.origin == 0) & rows.target.notna()]
         x_m = tables["actors"].set_index("actor").x_m[12]
         assert (found.x_m - x_m).tolist() == pytest.approx(ahead_m, abs=1e-5)
     with pytest.raises(ValueError, match=r"attacks.farthest_m = 5 m is below attacks.ahead_m = 8 m. Swap them."):
-        play([BY | one | {"farthest_m": 5.0}], 1)
+        attacked("trust_flip", one | {"farthest_m": 5.0}, n_steps=1)
 
 
 def test_removal(honest):
-    tables = play([BY | {"attack": "removal"}])
+    tables = attacked("removal")
     rows = beside(tables, honest)
     own = rows.observer.isin(WHO) & (rows.origin != SELF)
     assert own.sum() > 50 and not rows.transmitted[own].any() and rows.transmitted[~own].all()
@@ -126,7 +131,7 @@ def test_removal(honest):
 
 
 def test_removal_of_the_victim_alone(honest):
-    tables = play([BY | {"attack": "removal", "only_victim": True, "victim": "random"}])
+    tables = attacked("removal", {"only_victim": True, "victim": "random"})
     hidden = tables["detections"][~tables["detections"].transmitted]
     assert 0 < len(hidden) and hidden.groupby(["at", "observer"]).truth_actor.nunique().max() == 1
     assert (hidden.truth_iou > 0).all() and hidden.lied.all()
@@ -134,7 +139,7 @@ def test_removal_of_the_victim_alone(honest):
 
 @pytest.mark.parametrize("offset", ["constant", "random"])
 def test_offset(honest, offset):
-    tables = play([BY | {"attack": "offset", "offset": offset}])
+    tables = attacked("offset", {"offset": offset})
     own = of_liars(tables, honest)
     east, north = own.x_m - own.x_m_was, own.y_m - own.y_m_was
     for shift in (east.abs(), north.abs()):
@@ -147,7 +152,7 @@ def test_offset(honest, offset):
 
 def test_drift(honest):
     """2 m/s for steps 0, 1, 2, ...: 0, 2, 4, then 5 m at most."""
-    tables = play([BY | {"attack": "drift", "speed_mps": 2.0, "max_m": 5.0}])
+    tables = attacked("drift", {"speed_mps": 2.0, "max_m": 5.0})
     own = of_liars(tables, honest)
     away = np.hypot(own.x_m - own.x_m_was, own.y_m - own.y_m_was)
     np.testing.assert_allclose(away, np.minimum(2.0 * own["at"], 5.0), atol=1e-9)
@@ -155,7 +160,7 @@ def test_drift(honest):
 
 
 def test_mirror(honest):
-    tables = play([BY | {"attack": "mirror"}])
+    tables = attacked("mirror")
     own = of_liars(tables, honest)
     lane = 4.0 * (own.observer // 10)  # all head east
     np.testing.assert_allclose(own.y_m - lane, -(own.y_m_was - lane), atol=1e-9)
@@ -170,7 +175,7 @@ def test_mirror(honest):
     ("classification", {}, "class", lambda r: np.where(r["class_was"] == 0, 1, 0)),
 ])  # fmt: skip
 def test_one_falsified_column(honest, attack, keys, column, made):
-    tables = play([BY | {"attack": attack} | keys])
+    tables = attacked(attack, keys)
     own = of_liars(tables, honest)
     np.testing.assert_allclose(own[column], made(own), atol=1e-9)
     changed = (own.score - own.score_was).abs() > 0.1 if attack == "score" else np.full(len(own), True)
@@ -180,7 +185,7 @@ def test_one_falsified_column(honest, attack, keys, column, made):
 
 def test_replay(honest):
     """Every fabricated box is one that another vehicle sent at most 5 s before."""
-    tables = play([BY | {"attack": "replay", "n_objects": 4, "age_s": 3.0}])
+    tables = attacked("replay", {"n_objects": 4, "age_s": 3.0})
     lies = lies_of(tables)
     assert 1 <= lies.groupby(["at", "observer"]).size().min() and lies.groupby(["at", "observer"]).size().max() <= 4
     true = honest["detections"][["at", "observer", "x_m", "y_m", "score"]]
@@ -193,8 +198,8 @@ def test_replay(honest):
 def test_replay_of_vehicles_that_send_at_other_times(honest_in_turns):
     """Random phases in steps of 0.2 s: of each sender the oldest message within 1.5 s, so that all have a message."""
     honest = honest_in_turns["detections"]
-    keys = {"attack": "replay", "n_objects": 200, "age_s": 1.5}
-    lies = lies_of(play([BY | keys], n_steps=30, **IN_TURNS))
+    keys = {"n_objects": 200, "age_s": 1.5}
+    lies = lies_of(attacked("replay", keys, n_steps=30, **IN_TURNS))
     true = honest[["at", "observer", "x_m", "y_m", "score"]]
     found = lies[lies["at"] > 15].merge(true, on=["x_m", "y_m", "score"], suffixes=("", "_made"))
     found = found[(found["at"] - found.at_made).between(3, 7)]  # the next message of each is five steps younger
@@ -204,7 +209,7 @@ def test_replay_of_vehicles_that_send_at_other_times(honest_in_turns):
 
 def test_stale(honest):
     """The content of two messages ago, the vehicle itself included."""
-    tables = play([BY | {"attack": "stale", "n_messages": 2}])
+    tables = attacked("stale", {"n_messages": 2})
     found = tables["detections"]
     mine = found[found.observer.isin(WHO) & found.transmitted & (found["at"] >= 2)]
     was = honest["detections"]
@@ -218,7 +223,7 @@ def test_stale(honest):
 def test_stale_after_a_pause(honest):
     """On in the first half of eight steps: after a pause, content is of two messages ago, too."""
     times = {"when": "on_off", "period_s": 8.0, "duty_p": 0.5, "start_s": 0.0}
-    found = play([BY | times | {"attack": "stale", "n_messages": 2}], n_steps=12)["detections"]
+    found = attacked("stale", times | {"n_messages": 2}, n_steps=12)["detections"]
     honest = play(n_steps=12)["detections"]
     selves = found[found.observer.isin(WHO) & (found.detection_index == 0) & (found["at"] >= 8)]
     was = honest.query("detection_index == 0").assign(at=lambda f: f["at"] + 2)
@@ -228,7 +233,7 @@ def test_stale_after_a_pause(honest):
 
 @pytest.mark.verify
 def test_speed(honest):
-    tables = play([BY | {"attack": "speed"}], n_steps=40)
+    tables = attacked("speed", n_steps=40)
     own = lies_of(tables)
     error = own.speed_mps - 10.0
     assert len(own) == 40 * len(LIARS) and error.abs().between(1, 7).all()
@@ -245,7 +250,7 @@ def test_self_reports_carry_speed_and_acceleration():
 
 def test_braking():
     """Braking with 3 m/s2 is told as 6 to 12; standing at one speed as 2 to 4."""
-    own = lies_of(play([BY | {"attack": "braking"}], n_steps=2, speeds=[12.0, 9.0]))
+    own = lies_of(attacked("braking", n_steps=2, speeds=[12.0, 9.0]))
     told = -own.acceleration_mps2
     assert len(own) == 2 * len(LIARS)
     assert told[own["at"] == 1].between(6, 12).all() and told[own["at"] == 0].between(2, 4).all()
@@ -253,7 +258,7 @@ def test_braking():
 
 def test_stop():
     """Once stopped, for good, at the place where it began; 5 % per message."""
-    found = play([BY | {"attack": "stop", "stop_p": 0.2}], n_steps=12)["detections"]
+    found = attacked("stop", {"stop_p": 0.2}, n_steps=12)["detections"]
     own = found[(found.detection_index == 0) & found.observer.isin(WHO)]
     for _, one in own.groupby("observer"):
         stands = (one.speed_mps == 0).to_numpy()
@@ -278,22 +283,22 @@ def reported(tables, honest):
 
 
 def test_bad_mouthing(honest):
-    rows = reported(play([BY | {"attack": "bad_mouthing"}]), honest)
+    rows = reported(attacked("bad_mouthing"), honest)
     spared = rows.observer.isin(WHO)
     assert (rows.evaluation[~spared] == -1).all() and (rows.visibility[~spared] == 1).all()
     assert (rows.evaluation[spared] == rows.evaluation_was[spared]).all()
 
 
 def test_bad_mouthing_of_one_victim(honest):
-    keys = {"attack": "bad_mouthing", "only_victim": True, "victim": "one", "victim_id": "v11"}
-    rows = reported(play([BY | keys]), honest)
+    keys = {"only_victim": True, "victim": "one", "victim_id": "v11"}
+    rows = reported(attacked("bad_mouthing", keys), honest)
     hit = rows.observer == NAMES.index("v11")
     assert hit.sum() > 5 and (rows.evaluation[hit] == -1).all()
     assert (rows.evaluation[~hit] == rows.evaluation_was[~hit]).all()
 
 
 def test_ballot_stuffing(honest):
-    rows = reported(play([BY | {"attack": "ballot_stuffing"}]), honest)
+    rows = reported(attacked("ballot_stuffing"), honest)
     friends = rows.observer.isin(WHO)
     assert friends.any() and (rows.evaluation[friends] == 1).all() and (rows.visibility[friends] == 1).all()
     assert (rows.evaluation[~friends] == rows.evaluation_was[~friends]).all()
@@ -301,7 +306,7 @@ def test_ballot_stuffing(honest):
 
 def test_collusion_in_rings_of_two(honest):
     """v00 and v07 appear in one cell, as do v15 and v23: two rings, in the order of their numbers."""
-    rows = reported(play([BY | {"attack": "collusion", "ring_size": 2}]), honest)
+    rows = reported(attacked("collusion", {"ring_size": 2}), honest)
     ring = {0: 0, 7: 0, 15: 1, 23: 1}
     friends = rows.observer.map(ring) == rows.evaluator.map(ring)
     assert friends.any() and (rows.evaluation[friends] == 1).all() and (rows.evaluation[~friends] == -1).all()
@@ -309,7 +314,7 @@ def test_collusion_in_rings_of_two(honest):
 
 
 def test_discrimination(honest):
-    rows = reported(play([BY | {"attack": "discrimination", "group_p": 0.3}]), honest)
+    rows = reported(attacked("discrimination", {"group_p": 0.3}), honest)
     changed = (rows.evaluation != rows.evaluation_was) | (rows.visibility != rows.visibility_was)
     group = rows.observer[changed].unique()
     assert changed.any() and (rows.evaluation[rows.observer.isin(group)] == -1).all()
@@ -317,13 +322,13 @@ def test_discrimination(honest):
 
 
 def test_random_evaluations(honest):
-    rows = reported(play([BY | {"attack": "random_evaluations"}]), honest)
+    rows = reported(attacked("random_evaluations"), honest)
     assert (rows.visibility == 1).all() and abs(rows.evaluation.mean()) < 5 / np.sqrt(3 * len(rows))
     assert rows.evaluation.between(-1, 1).all() and rows.evaluation.nunique() > 0.99 * len(rows)
 
 
 def test_majority_copying(honest):
-    tables = play([BY | {"attack": "majority_copying"}])
+    tables = attacked("majority_copying")
     rows = reported(tables, honest)
     votes = honest["evaluations"]
     votes = votes[~votes.evaluator.isin(WHO) & (votes.evaluator != votes.observer) & (votes.visibility > 0)]
@@ -336,7 +341,7 @@ def test_majority_copying(honest):
 
 
 def test_replayed_evaluations(honest):
-    rows = reported(play([BY | {"attack": "replayed_evaluations", "n_messages": 2}]), honest)
+    rows = reported(attacked("replayed_evaluations", {"n_messages": 2}), honest)
     was = honest["evaluations"].assign(at=lambda f: f["at"] + 2)
     rows = rows[rows["at"] >= 2].merge(was, on=EVALUATION_KEY, how="left", suffixes=("", "_old"))
     known = rows.evaluation_old.notna()
@@ -361,13 +366,13 @@ IN_TURNS = {"traffic": {"step_s": 0.2}, "sensing_phase": "random"}
 def test_ages_in_messages_where_vehicles_send_in_turns(honest_in_turns):
     """Three messages ago is 15 steps ago, and the first messages repeat the oldest."""
     own = honest_in_turns["detections"].query("detection_index == 0")[["at", "observer", "x_m"]]
-    found = play([BY | {"attack": "stale", "n_messages": 3}], n_steps=30, **IN_TURNS)["detections"]
+    found = attacked("stale", {"n_messages": 3}, n_steps=30, **IN_TURNS)["detections"]
     mine = found[(found.detection_index == 0) & found.observer.isin(WHO)]
     age = mine.merge(own.rename(columns={"at": "was"}), on=["observer", "x_m"]).eval("at - was")
     number = mine.groupby("observer").cumcount()
     assert len(age) == len(mine) and age.tolist() == (5 * np.minimum(number, 3)).tolist()
 
-    said = play([BY | {"attack": "replayed_evaluations", "n_messages": 3}], n_steps=30, **IN_TURNS)["evaluations"]
+    said = attacked("replayed_evaluations", {"n_messages": 3}, n_steps=30, **IN_TURNS)["evaluations"]
     said = said[said.evaluator.isin(WHO) & (said.observer != said.evaluator)]
     was = honest_in_turns["evaluations"].assign(at=lambda f: f["at"] + 15)
     was = was[was.visibility > 0]
@@ -379,7 +384,7 @@ def test_ages_in_messages_where_vehicles_send_in_turns(honest_in_turns):
 
 def test_evaluations_under_several_identities(honest):
     """Three identities: each of the attackers' evaluations goes out three times, under three pseudonyms."""
-    tables = play([BY | {"attack": "bad_mouthing", "n_identities": 3}])
+    tables = attacked("bad_mouthing", {"n_identities": 3})
     names = tables["pseudonyms"]
     assert names[names.vehicle.isin(WHO)].groupby("vehicle").identity.apply(sorted).tolist() == [[0, 1, 2]] * len(LIARS)
     said = tables["evaluations"].merge(names, left_on="evaluator", right_on="pseudonym")
@@ -391,7 +396,7 @@ def test_evaluations_under_several_identities(honest):
 
 def test_sybil(honest):
     """Five ghosts per attacker, each with a pseudonym, a detection message and an evaluation message of its own."""
-    tables = play([BY | {"attack": "sybil"}])
+    tables = attacked("sybil")
     names, found = tables["pseudonyms"], tables["detections"]
     ghosts = found[~found.observer.isin(range(N))]
     assert len(ghosts) == 6 * 5 * len(LIARS) and (ghosts.detection_index == 0).all() and ghosts.lied.all()
@@ -418,7 +423,7 @@ def test_sybil(honest):
 def test_denial_of_service():
     """Three copies of four vehicles' messages: 40 + 12 frames instead of 40, of the same bytes each."""
     sections = {"radio": {"model": "csma"}}
-    plain, flooded = play(**sections), play([BY | {"attack": "denial_of_service", "n_copies": 3}], **sections)
+    plain, flooded = play(**sections), attacked("denial_of_service", {"n_copies": 3}, **sections)
     n, m = (t["radio"][t["radio"].message_type == 0].set_index("at") for t in (plain, flooded))
     assert (n.n_sent == N).all() and (m.n_sent == N + 3 * len(LIARS)).all()
     assert (m.sent_bytes > 1.2 * n.sent_bytes).all() and m.cbr.mean() > 1.04 * n.cbr.mean()
@@ -446,7 +451,7 @@ def test_late_copies_count_once(tmp_path):
 @pytest.mark.parametrize("model", ["unit_disk", "csma"])
 def test_delay(model):
     sections = {"radio": {"model": model, "unit_disk": {"loss_p": 0.0}}}
-    plain, late = play(**sections), play([BY | {"attack": "delay", "delay_s": 0.2}], **sections)
+    plain, late = play(**sections), attacked("delay", {"delay_s": 0.2}, **sections)
     a, b = (t["receptions"][t["receptions"].message_type == 0] for t in (plain, late))
     pairs = b.merge(a, on=["at", "sender", "receiver"], suffixes=("", "_was"))
     mine = pairs.sender.isin(WHO)
@@ -454,7 +459,7 @@ def test_delay(model):
     assert mine.sum() > 50
     np.testing.assert_allclose(by[mine], 0.2, atol=1e-6)
     np.testing.assert_allclose(by[~mine], 0.0, atol=1e-6)
-    too_late = play([BY | {"attack": "delay", "delay_s": 0.45}], **sections)["receptions"]
+    too_late = attacked("delay", {"delay_s": 0.45}, **sections)["receptions"]
     assert not too_late[too_late.message_type == 0].sender.isin(WHO).any()
 
 
