@@ -83,6 +83,16 @@ def general(kind):
     wrong = hook[:-1] if hook.endswith("s") else hook + "s"
     own = "class Mine:\n    Params = Params\n"
     body = "".join(f"    {row}\n" for row in good.split("\n"))
+
+    def headed(head):
+        return source(good.replace(first, head))
+
+    def begun(line):
+        return headed(first + "\n    " + line)
+
+    def called(name):
+        return source(good.replace(f"def {hook}(", f"def {name}("))
+
     return {
         "syntax": (source(good) + "    def (", "SyntaxError"),
         "import": (HEADER + "import nowhere_at_all\n", "ModuleNotFoundError"),
@@ -92,17 +102,16 @@ def general(kind):
         "another class": (HEADER + "class Mind:\n    pass\n", "Did you mean Mind?"),
         "not a class": (HEADER + "Mine = 3\n", "Mine is no class"),
         "nothing": (source("pass"), "has no method"),
-        "near name": (source(good.replace(f"def {hook}(", f"def {wrong}(")), f"Did you mean {hook}?"),
-        "other case": (source(good.replace(f"def {hook}(", f"def {hook.title()}(")), f"Did you mean {hook}?"),
-        "too few": (source(good.replace(first, f"def {hook}(self):")), "takes too few arguments"),
-        "too many": (source(good.replace(first, first.replace("):", ", more, *, other=1):")
-                     .replace("=None", ""))), "needs more too"),
-        "keyword only": (source(good.replace(first, first.replace("):", ", *, more):"))), "by keyword"),
-        "no self": (source(good.replace(first, first.replace("self, ", ""))), "has no self"),
-        "property": (source(good.replace(first, "@property\n" + first)), "is a property"),
+        "near name": (called(wrong), f"Did you mean {hook}?"),
+        "other case": (called(hook.title()), f"Did you mean {hook}?"),
+        "too few": (headed(f"def {hook}(self):"), "takes too few arguments"),
+        "too many": (headed(first.replace("):", ", more, *, other=1):").replace("=None", "")), "needs more too"),
+        "keyword only": (headed(first.replace("):", ", *, more):")), "by keyword"),
+        "no self": (headed(first.replace("self, ", "")), "has no self"),
+        "property": (headed("@property\n" + first), "is a property"),
         "attribute": (source(good.replace(f"def {hook}(", "def _other(") + f"\n{hook} = 3"), "not a method"),
-        "generator": (source(good.replace(first, first + "\n    yield 1")), "is a generator"),
-        "asynchronous": (source(good.replace(first, "async " + first)), "is asynchronous"),
+        "generator": (begun("yield 1"), "is a generator"),
+        "asynchronous": (headed("async " + first), "is asynchronous"),
         "params without Params": (source("def __init__(self, params, b, c, d, e):\n    pass\n" + good), "constructor"),
         "Params not named": (HEADER + PARAMS + source("def __init__(self, params):\n    pass\n" + good), "Params"),
         "Params misspelt": (source("class params:\n    pass\n" + good), "Did you mean Params?"),
@@ -112,14 +121,13 @@ def general(kind):
         "Params not taken": (HEADER + PARAMS + own + "    def __init__(self):\n        pass\n" + body, "not take them"),
         "Params inherited": (HEADER + PARAMS + "class More(Params):\n    b: float = 2.0\n"
                              + own.replace("= Params", "= More") + body, "adds to its base class"),
-        "raises": (source(good.replace(first, first + "\n    1 / 0")), f"{hook}() raised ZeroDivisionError"),
-        "exits": (source(good.replace(first, first + "\n    raise SystemExit(0)")), "which ends the program"),
-        "asks": (source(good.replace(first, first + "\n    raise BaseException('a\\n\\x1b[31mb')")), "a ?[31mb"),
+        "raises": (begun("1 / 0"), f"{hook}() raised ZeroDivisionError"),
+        "exits": (begun("raise SystemExit(0)"), "which ends the program"),
+        "asks": (begun("raise BaseException('a\\n\\x1b[31mb')"), "a ?[31mb"),
         "constructor raises": (source("def __init__(self):\n    self.a = {}['b']\n" + good), "KeyError"),
         "constructor exits": (source("def __init__(self):\n    exit()\n" + good), "SystemExit"),
-        "hostile message": (source(good.replace(first, first + "\n    class E(Exception):\n        __str__ = None"
-                                                "\n    raise E")), "cannot be shown"),
-        "endless": (source(good.replace(first, first + "\n    f = lambda: f()\n    f()")), "RecursionError"),
+        "hostile message": (begun("class E(Exception):\n        __str__ = None\n    raise E"), "cannot be shown"),
+        "endless": (begun("f = lambda: f()\n    f()"), "RecursionError"),
         "None": (returns(kind, hook, "None"), "returned None"),
         "text": (returns(kind, hook, "'x' * 3"), "returned a str"),
         "dict": (returns(kind, hook, "{}"), "returned a dict"),
