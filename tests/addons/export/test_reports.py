@@ -16,7 +16,7 @@ SCHEMA = json.loads((Path(__file__).parents[3] / "results" / "misbehaviour_repor
 NORTH = Projection(60.0, 25.0)
 
 
-def evaluation(step, evaluator, value, visibility, plausible, **more):
+def evaluation(step, evaluator, value=-1.0, visibility=1.0, plausible=True, **more):
     return {
         "step": step, "evaluator": evaluator, "observer": 0, "detection_index": 1, "evaluation": value, "n_points": 40,
         "visibility": visibility, "plausible": plausible, "matched": False, "lied": False,
@@ -24,10 +24,10 @@ def evaluation(step, evaluator, value, visibility, plausible, **more):
 
 
 ROWS = [
-    evaluation(1, 1, -1.0, 0.4, True),  # -0.4 is above the threshold
-    evaluation(1, 3, 0.9, 1.0, None, matched=True),
-    evaluation(2, 1, -1.0, 0.75, True),
-    evaluation(2, 3, -1.0, 1.0, False),
+    evaluation(1, 1, visibility=0.4),  # -0.4 is above the threshold
+    evaluation(1, 3, 0.9, plausible=None, matched=True),
+    evaluation(2, 1, visibility=0.75),
+    evaluation(2, 3, plausible=False),
 ]
 
 
@@ -78,7 +78,7 @@ def test_objects_are_counted_in_the_message(tmp_path):
     """Detection 1 is not sent in step 3, so that detection 2 is the first object of the message."""
     boxes = {"length_m": 4.0, "width_m": 2.0, "height_m": 1.5, "class": "car", "score": 0.9, "origin": "sensed"}
     more = {"step": 3, "observer": 0, "detection_index": 2, "transmitted": True, **boxes}
-    rows = [evaluation(3, 1, -1.0, 1.0, True, detection_index=k, detection_step=3) for k in (0, 2)]
+    rows = [evaluation(3, 1, detection_index=k, detection_step=3) for k in (0, 2)]
     run = truck.make(tmp_path / "run", evaluations=rows, detected=[more])
     (found,) = written(run, tmp_path / "out").values()
     evidence = found[0]["data"]["content"]["plaintext"]["report"]["content"]["nonV2xPduEvidence"]
@@ -95,14 +95,14 @@ def test_threshold(run, tmp_path):
 def test_reports_and_what_is_left_out_are_all_denials(tmp_path):
     """Of seven denials, three are reported: of this step's message, and of two earlier ones."""
     rows = [
-        evaluation(2, 1, -1.0, 1.0, True),
-        evaluation(2, 1, -1.0, 1.0, True, detection_index=0, detection_step=1),
-        evaluation(3, 3, -1.0, 1.0, True, detection_step=0),
-        evaluation(3, 4, -1.0, 1.0, True, detection_step=0),  # 4 is a roadside unit
-        evaluation(3, 1, -1.0, 1.0, True, observer=4),
-        evaluation(3, 1, -1.0, 1.0, True, observer=3, detection_step=0),  # 3 comes in step 1
-        evaluation(3, 1, -1.0, 1.0, True, kind="speed"),
-        evaluation(3, 1, -0.2, 1.0, True, detection_step=2),  # is no denial
+        evaluation(2, 1),
+        evaluation(2, 1, detection_index=0, detection_step=1),
+        evaluation(3, 3, detection_step=0),
+        evaluation(3, 4, detection_step=0),  # 4 is a roadside unit
+        evaluation(3, 1, observer=4),
+        evaluation(3, 1, observer=3, detection_step=0),  # 3 comes in step 1
+        evaluation(3, 1, kind="speed"),
+        evaluation(3, 1, -0.2, detection_step=2),  # is no denial
     ]
     rows = [{"kind": "detection", "detection_step": row["step"]} | row for row in rows]
     run = truck.make(tmp_path / "run", units=[4], evaluations=rows)
@@ -126,7 +126,7 @@ def test_reports_and_what_is_left_out_are_all_denials(tmp_path):
 
 def test_the_evidence_is_the_message_of_the_earlier_step(tmp_path):
     """In step 3 the car behind denies what the first car said in step 1: the packet is that of step 1."""
-    run = truck.make(tmp_path / "run", evaluations=[evaluation(3, 3, -1.0, 1.0, True, detection_step=1)])
+    run = truck.make(tmp_path / "run", evaluations=[evaluation(3, 3, detection_step=1)])
     ((report,),) = written(run, tmp_path).values()
     (stream,) = report["data"]["content"]["plaintext"]["report"]["content"]["v2xPduEvidence"]
     packets = pcap.PcapPackets(replace(truck.selection(run), projection=lambda: NORTH), NORTH)

@@ -20,6 +20,11 @@ from tests.slow import slow
 STEP_S, LENGTH_M = 0.1, 5.0
 
 
+def traced(folder, *words):
+    """How a trace of `p.csv` ends."""
+    return cosim("trace", "p.csv", *words, "--out", "t.parquet", cwd=folder)
+
+
 def written(tmp_path, rows, params=None):
     """The timesteps of the trace that is made of a table."""
     rows.to_csv(tmp_path / "positions.csv", index=False)
@@ -101,7 +106,7 @@ def test_a_run_takes_a_vehicle_after_a_gap_for_the_same(tmp_path):
     at_s = [*range(20), *range(64, 80)]
     rows = pd.DataFrame({"id": np.repeat(["a", "b"], len(at_s)), "time": at_s * 2, "x": 0, "y": 0})
     rows.assign(y=np.where(rows.id == "a", 0, 20)).to_csv(tmp_path / "p.csv", index=False)
-    made = cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path)
+    made = traced(tmp_path)
     assert made.returncode == 0 and "4 tracks after 2 gaps" in made.stdout, made.stderr
     keys = ("traffic.scenario=t.parquet", "sensing=false", 'encounters=[{pairs="all"}]')
     ran = cosim("run", *set_words(keys), "--out", "run", cwd=tmp_path)
@@ -134,7 +139,7 @@ def test_a_trace_that_pandas_or_duckdb_wrote_again_is_still_of_positions(tmp_pat
 def test_the_command_that_is_printed_can_be_run(tmp_path, hz):
     t = np.arange(0, 8, 1 / hz)
     pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)
-    made = cosim("trace", "p.csv", "--out", "t.parquet", *(("--step-s", "2.5") if hz < 1 else ()), cwd=tmp_path)
+    made = traced(tmp_path, *(("--step-s", "2.5") if hz < 1 else ()))
     assert made.returncode == 0, made.stderr
     words = made.stdout.partition("cosim run ")[2].split()
     few = ("--set", "traffic.duration_s=2.5", "--set", "fleet.penetration_p=0", "--out", "run")
@@ -145,21 +150,21 @@ def test_the_command_that_is_printed_can_be_run(tmp_path, hz):
 def test_the_command_that_is_printed_has_the_city(tmp_path):
     """Alone, the trace would have no streets and no buildings."""
     (tmp_path / "p.csv").write_text("id,time,lat,lon\na,0,60.17,24.94\na,1,60.1701,24.94\n")
-    made = cosim("trace", "p.csv", "--scenario", "helsinki", "--out", "t.parquet", cwd=tmp_path)
+    made = traced(tmp_path, "--scenario", "helsinki")
     assert "cosim run --set traffic.scenario=helsinki --set traffic.trace=t.parquet --set" in made.stdout, made.stderr
 
 
 def test_positions_that_are_left_out_are_said(tmp_path):
     t = np.cumsum(np.random.default_rng(3).uniform(0.05, 0.1, 200))
     pd.DataFrame({"id": "a", "time": t, "x": 10 * t, "y": 0.0}).to_csv(tmp_path / "p.csv", index=False)
-    assert "s apart (median)" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
+    assert "s apart (median)" in traced(tmp_path).stdout
 
 
 def test_centres_with_the_columns_of_sumo_are_read_if_columns_are_named(tmp_path):
     """An angle from east: SUMO's would be clockwise from north, and of the front bumper."""
     (tmp_path / "p.csv").write_text("id,time,x,y,angle,speed\na,0,0,0,0,9\na,1,9,0,0,9\n")
-    assert "name --x and --y" in cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stderr
-    made = cosim("trace", "p.csv", "--x", "x", "--y", "y", "--out", "t.parquet", cwd=tmp_path)
+    assert "name --x and --y" in traced(tmp_path).stderr
+    made = traced(tmp_path, "--x", "x", "--y", "y")
     assert made.returncode == 0 and "angle not read" in made.stdout, made.stderr
     first = pd.read_parquet(tmp_path / "t.parquet").iloc[0]
     assert (first.vehicle_x, first.vehicle_angle) == (2.5, 90.0)
@@ -167,7 +172,7 @@ def test_centres_with_the_columns_of_sumo_are_read_if_columns_are_named(tmp_path
 
 def test_what_is_time_0_is_said(tmp_path):
     (tmp_path / "p.csv").write_text("id,time,x,y\na,1700000000.5,0,0\na,1700000001.5,9,0\n")
-    said = cosim("trace", "p.csv", "--out", "t.parquet", cwd=tmp_path).stdout
+    said = traced(tmp_path).stdout
     assert "2 steps of 1 s from 1700000000.5 s of the positions on, which is time 0" in said
 
 

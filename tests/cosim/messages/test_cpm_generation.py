@@ -16,6 +16,10 @@ from tests.sensors.town import boxes_at
 CAR, PEDESTRIAN = 0, 1
 
 
+OWN = (0, CAR, 0, 0)
+"""The report of the first observer of itself."""
+
+
 def list_of(*rows):
     """Detections from (observer, label, x, yaw in degrees); the first of each observer is its report of itself."""
     observer, label, x, yaw = (np.array(column) for column in zip(*rows, strict=True))
@@ -48,14 +52,14 @@ def story(*frames, params=ETSI, gap_s=0.0):
 
 
 def test_what_stands_is_sent_once_a_second():
-    parked = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
+    parked = list_of(OWN, (0, CAR, 30, 0))
     assert story(*((t / 10, parked) for t in range(12))) == [[t in (0, 10)] * 2 for t in range(12)]
 
 
 def test_tracks_tell_people_apart_that_stand_together():
     """A second pedestrian 1 m beside one that was just sent is new: by place it would be the same one."""
-    one = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 20, 0))
-    two = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 20, 0), (0, PEDESTRIAN, 21, 0))
+    one = list_of(OWN, (0, PEDESTRIAN, 20, 0))
+    two = list_of(OWN, (0, PEDESTRIAN, 20, 0), (0, PEDESTRIAN, 21, 0))
     at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1))
     found = []
     for tracks in (None, ([-1, 7], [-1, 7, 9])):
@@ -71,9 +75,9 @@ def test_who_sends_seldom_remembers_what_was_left_out(others_send_between):
     """A sweep every 2 s, room for one object: the parked car comes first once, then the one that moves 3 m."""
     at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1), interval_s=2.0)
     params, state, found = CpmParams(rules="etsi", max_objects=1), CpmState(), []
-    nothing = list_of((0, CAR, 0, 0)).take(np.zeros(0, int))
+    nothing = list_of(OWN).take(np.zeros(0, int))
     for k in range(4):
-        seen = list_of((0, CAR, 0, 0), (0, CAR, 30, 0), (0, CAR, 60 + 3 * k, 0))
+        seen = list_of(OWN, (0, CAR, 30, 0), (0, CAR, 60 + 3 * k, 0))
         state, content = generate(state, seen, seen.observer, at, 2.0 * k, params)
         found.append(content.included[1:].tolist())
         if others_send_between:
@@ -83,20 +87,20 @@ def test_who_sends_seldom_remembers_what_was_left_out(others_send_between):
 
 def test_moved_turned_and_new():
     def at(x, yaw=0.0):
-        return list_of((0, CAR, 0, 0), (0, CAR, x, yaw))
+        return list_of(OWN, (0, CAR, x, yaw))
 
     # 3.9 m is not enough, 4.2 m since the last inclusion is; then 3 degrees are not, and 5 are.
     frames = [(0.0, at(30)), (0.1, at(33.9)), (0.2, at(34.2)), (0.3, at(34.2, 3)), (0.4, at(34.2, 5))]
     assert [car for _, car in story(*frames)] == [True, False, True, False, True]
     # Across 180 degrees too.
     assert [car for _, car in story((0.0, at(30, 179)), (0.1, at(30, -179)))] == [True, False]
-    late = list_of((0, CAR, 0, 0), (0, CAR, 30, 0), (0, CAR, 60, 0))
+    late = list_of(OWN, (0, CAR, 30, 0), (0, CAR, 60, 0))
     assert story((0.0, at(30)), (0.1, late))[1] == [False, False, True]
 
 
 def test_people_go_together_after_half_a_second():
-    crowd = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 10, 0), (0, PEDESTRIAN, 20, 0))
-    more = list_of((0, CAR, 0, 0), (0, PEDESTRIAN, 10, 0), (0, PEDESTRIAN, 20, 0), (0, PEDESTRIAN, 30, 0))
+    crowd = list_of(OWN, (0, PEDESTRIAN, 10, 0), (0, PEDESTRIAN, 20, 0))
+    more = list_of(OWN, (0, PEDESTRIAN, 10, 0), (0, PEDESTRIAN, 20, 0), (0, PEDESTRIAN, 30, 0))
     first, again, new, wait, over = story((0, crowd), (0.4, crowd), (0.5, more), (0.9, more), (1.0, more))
     assert first == [True] * 3 and again == [False] * 3
     assert new == [False, True, True, True]  # half a second is over
@@ -106,7 +110,7 @@ def test_people_go_together_after_half_a_second():
 
 def with_speed(x, speed, own=0.0):
     """A vehicle with this speed of its own sees a car at `x` whose speed is known unless it is NaN."""
-    seen = list_of((0, CAR, 0, 0), (0, CAR, x, 0))
+    seen = list_of(OWN, (0, CAR, x, 0))
     return replace(seen, speed_mps=np.array([own, np.nan]), velocity_mps=np.array([[np.nan] * 2, [0.0, speed]]))
 
 
@@ -128,7 +132,7 @@ def test_what_was_left_out_for_a_second_is_not_new():
     params, state, found = replace(ETSI, max_objects=1, interval_s=0.2), CpmState(), []
     at = Generators(np.array([0]), np.array([0]), np.zeros((1, 2)), np.zeros(1))
     for k, time_s in enumerate((0.0, 0.6, 1.0, 1.1, 1.2)):
-        own, parked, moving = (0, CAR, 0, 0), (0, CAR, 30, 0), (0, CAR, 60 + 8 * k, 8 * k)
+        own, parked, moving = OWN, (0, CAR, 30, 0), (0, CAR, 60 + 8 * k, 8 * k)
         seen = list_of(own, parked, moving) if k else list_of(own, parked)
         tracks = np.array([-1, 0, 1][: len(seen)])
         state, content = generate(state, seen, seen.observer, at, time_s, params, tracks)
@@ -140,7 +144,7 @@ def test_the_largest_changes_come_first():
     """Of three known objects, the first moved 3.9 m (0.49 of 8 m), the second turned 6 degrees (0.75 of 8)."""
 
     def at(x, yaw):
-        seen = list_of((0, CAR, 0, 0), (0, CAR, 30 + x, 0), (0, CAR, 60, yaw), (0, CAR, 90, 0))
+        seen = list_of(OWN, (0, CAR, 30 + x, 0), (0, CAR, 60, yaw), (0, CAR, 90, 0))
         return replace(seen, score=np.zeros(4))
 
     late = (1.0, at(3.9, 6))
@@ -158,7 +162,7 @@ def test_the_largest_changes_come_first():
 @pytest.mark.parametrize(("gap_s", "interval_s", "every"), [(0, 0.1, 1), (0.25, 0.1, 3), (0.1, 0.5, 5), (60, 0.1, 10)])
 def test_messages_keep_the_interval_and_congestion_control(gap_s, interval_s, every):
     """An object that moves 5 m per tenth of a second, always to be included when a message is generated."""
-    frames = [(t / 10, list_of((0, CAR, 0, 0), (0, CAR, 5 * t, 0))) for t in range(21)]
+    frames = [(t / 10, list_of(OWN, (0, CAR, 5 * t, 0))) for t in range(21)]
     sent = story(*frames, params=replace(ETSI, interval_s=interval_s), gap_s=gap_s)
     assert [car for _, car in sent] == [t % every == 0 for t in range(21)]
     state = CpmState()
@@ -169,7 +173,7 @@ def test_messages_keep_the_interval_and_congestion_control(gap_s, interval_s, ev
 
 
 def test_sensors_are_described_once_a_second():
-    parked = list_of((0, CAR, 0, 0), (0, CAR, 30, 0))
+    parked = list_of(OWN, (0, CAR, 30, 0))
     for rules, times in (("all", {0, 10, 20}), ("etsi", {0, 10, 20})):
         state, found = CpmState(), set()
         for t in range(25):
