@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from sumo_nets import sumotools
+from tests.processes import sets_of_trace
 
 HEAD = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_z;vehicle_angle;vehicle_speed;vehicle_type\n"
 
@@ -54,3 +55,8 @@ def write_town(folder: Path, end: float = 60) -> Path:
     (folder / "town.poly.xml").write_text(HOUSES)
     (folder / "town.sumocfg").write_text(CONFIG.format(end=end))
     return folder / "town.sumocfg"
+
+
+def street_sets(folder: Path) -> list[str]:
+    """Keys of a run of the street, whose trace is written into the folder."""
+    return sets_of_trace(write_trace(folder))[1::2]

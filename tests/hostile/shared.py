@@ -21,7 +21,7 @@ from cosim.studies.points import points_of
 from cosim.studies.study import load as load_study
 from results import inventory
 from results.manifest import read_manifest, write_manifest
-from tests.hostile.scenes import write_trace
+from tests.hostile.scenes import street_sets
 from tests.processes import manifest_of, sets_of_trace
 
 TRAP = """
@@ -36,7 +36,7 @@ def trap(run):
 
 def make_runs(folder: Path) -> tuple[Path, Path]:
     """A finished run of a street, and the same run interrupted after its first block."""
-    config = load(None, sets_of_trace(write_trace(folder))[1::2])
+    config = load(None, street_sets(folder))
     whole = running.run(config, folder / "whole", lambda *_: None)
     with suppress(Stopped):
         running.run(config, folder / "part", _interrupting(4))

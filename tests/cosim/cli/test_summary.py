@@ -11,8 +11,7 @@ from cosim.runs.run import run
 from results.archive import open_run
 from results.figures.catalogue import FIGURES
 from results.measure import measure
-from tests.hostile.scenes import write_trace
-from tests.processes import sets_of_trace
+from tests.hostile.scenes import street_sets
 from tests.results.tiny import fleet, make
 
 NAN = float("nan")
@@ -108,7 +107,7 @@ def test_what_is_missing_is_said(changes, topic, says):
 
 def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
     """In the summary, in all that is not measured, and in place of figures."""
-    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "sensing=false", "fleet.penetration_p=1"]
+    keys = [*street_sets(tmp_path), "sensing=false", "fleet.penetration_p=1"]
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
     print_run_summary(folder, as_json=False)
     lines = capsys.readouterr().out.splitlines()
@@ -126,7 +125,7 @@ def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
 
 def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_path):
     delays = [f"server.cellular.delay_{name}_s=30" for name in ("min", "mean")]
-    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], *delays]
+    keys = [*street_sets(tmp_path), *delays]
     recorded = open_run(run(load(None, keys), tmp_path / "run", lambda *_: None))
     (row,) = measure(recorded, topics=("trust",)).itertuples()
     assert row.metric == "trust.not_measured" and "the delays and outages in [server]" in row.group
@@ -138,7 +137,7 @@ def test_a_run_that_is_shorter_than_the_delay_to_the_server_names_the_delay(tmp_
 
 
 def test_a_run_without_definitions_of_encounters_has_a_summary(tmp_path, capsys):
-    keys = [*sets_of_trace(write_trace(tmp_path))[1::2], "encounters=[]"]
+    keys = [*street_sets(tmp_path), "encounters=[]"]
     folder = run(load(None, keys), tmp_path / "run", lambda *_: None)
     print_run_summary(folder, as_json=False)
     assert "none: the config defines no [[encounters]]" in capsys.readouterr().out

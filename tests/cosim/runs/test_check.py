@@ -9,8 +9,7 @@ from cosim.runs.run import run
 from results.archive import open_run
 from tests.cosim.traffic import crossing
 from tests.drive import noted
-from tests.hostile.scenes import write_trace
-from tests.processes import sets_of_trace
+from tests.hostile.scenes import street_sets
 
 SLOW = "radio.model=unit_disk", "radio.unit_disk.latency_max_s=0.3", "traffic.step_s=0.2", "sensing_phase=random"
 
@@ -139,7 +138,7 @@ def test_a_period_that_is_rounded_up_is_noted(sets, says):
 
 
 def test_the_noted_period_is_that_of_the_run(tmp_path):
-    sets = [*sets_of_trace(write_trace(tmp_path))[1::2], "trust.server_period_s=1.5"]
+    sets = [*street_sets(tmp_path), "trust.server_period_s=1.5"]
     assert_noted(sets, "broadcasts every", "the server broadcasts every 2 s, because messages are exchanged every 1 s.")
     recorded = open_run(run(load(None, sets), tmp_path / "run", lambda *_: None))
     assert set(np.diff(np.unique(recorded.trust.step))) == {2}

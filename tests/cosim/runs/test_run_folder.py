@@ -22,8 +22,8 @@ from results.verify import verify
 from tests.cosim.traffic import mixed_scenario
 from tests.drive import cosim, python
 from tests.fingerprint import fingerprint
-from tests.hostile.scenes import write_trace
-from tests.processes import set_words, sets_of_trace
+from tests.hostile.scenes import street_sets
+from tests.processes import set_words
 from tests.refusals import refused_in_one_line
 
 CLAIM = """
@@ -110,7 +110,7 @@ def begun(folder, sets):
 
 def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
     """Whatever is on disk by then: nothing, a part of the manifest, or the manifest alone."""
-    sets = sets_of_trace(write_trace(tmp_path))[1::2]
+    sets = street_sets(tmp_path)
     whole, early, later = (tmp_path / name for name in ("whole", "early", "later"))
     run(load(None, sets), whole, lambda *_: None)
     early.mkdir()
@@ -129,7 +129,7 @@ def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
 
 
 def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
-    begun(tmp_path / "run", sets_of_trace(write_trace(tmp_path))[1::2])
+    begun(tmp_path / "run", street_sets(tmp_path))
     (tmp_path / "run" / "config.toml").write_text("seed = 4")
     with pytest.raises(ValueError, match="was changed since"):
         resume(tmp_path / "run", lambda *_: None)

@@ -13,9 +13,9 @@ from results.archive import open_run
 from results.measure import measure
 from results.progress import progress
 from results.verify import verify
-from tests.hostile.scenes import write_trace
+from tests.hostile.scenes import street_sets
 from tests.hostile.shared import reseal, with_config
-from tests.processes import manifest_of, sets_of_trace
+from tests.processes import manifest_of
 
 TOPICS = ("traffic", "encounters", "radio")
 
@@ -24,7 +24,7 @@ TOPICS = ("traffic", "encounters", "radio")
 def watched(tmp_path_factory):
     """A run with a block in every step, opened after its third; what was said of it then."""
     base = tmp_path_factory.mktemp("watched")
-    config = load(None, [*sets_of_trace(write_trace(base))[1::2], "record.block_steps=1"])
+    config = load(None, [*street_sets(base), "record.block_steps=1"])
     seen = {}
 
     def advance(phase, done, total, note):
@@ -97,7 +97,7 @@ def test_the_folder_of_an_empty_table_and_a_second_config(watched, tmp_path):
 
 def test_another_runs_manifest_is_one_line(watched, tmp_path):
     """The manifest and the config of a run with another seed; and its checkpoint."""
-    config = load(None, [*sets_of_trace(write_trace(tmp_path))[1::2], "record.block_steps=1", "seed=5"])
+    config = load(None, [*street_sets(tmp_path), "record.block_steps=1", "seed=5"])
     other = run(config, tmp_path / "other", lambda *_: None)
     shutil.copytree(watched[0], tmp_path / "run")
     for name in ("manifest.json", "config.toml"):
