@@ -161,17 +161,19 @@ def numbered(
     is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))
     rises = np.diff(listed.score, prepend=np.inf) > 0
     is_next = ~begins & ~np.roll(is_self, 1)
-    is_lie = listed.origin == FABRICATED
-    lies = np.isin(of_list, of_list[is_lie])
-    rows = np.flatnonzero(~is_self & (lies | np.isin(of_list, of_list[rises & is_next])))
+    lies = np.isin(of_list, of_list[listed.origin == FABRICATED])
+    is_unsorted = np.isin(of_list, of_list[rises & is_next])
+    rows = np.flatnonzero((lies | is_unsorted) & ~is_self)
     if not len(rows):
         return listed, np.arange(len(listed))
     index = listed.detection_index.copy()
     key = rng.key(seed, rng.Stream.ATTACK, step)
-    draw = rng.uniforms(key, _SHUFFLE, name_key[listed.observer[rows]], index[rows])[:, 0]
+    names = name_key[listed.observer[rows]]
+    draw = rng.uniforms(key, _SHUFFLE, names, index[rows])[:, 0]
     draw[~lies[rows]] = 0.0
-    by_score = rows[np.lexsort((draw, -listed.score[rows], of_list[rows]))]
-    index[by_score] = index[rows]
+    falling = -listed.score[rows]
+    by_score = np.lexsort((draw, falling, of_list[rows]))
+    index[rows[by_score]] = index[rows]
     again = replace(listed, detection_index=index)
     order = np.lexsort((index, of_list))
     return again.take(order), order
