@@ -38,7 +38,7 @@ from sensors.lidar import RangeImages
 from trust.params import TrustParams, eta_of
 from trust.tables import ReceivedEvaluations, TrustScores
 
-VERSION = "5"
+VERSION = "6"
 """Raise it with every change of the content of the shipped set."""
 ATTACKS = (
     "ghost_insertion",
