@@ -15,9 +15,8 @@ Objects lie east, north and up of it. The map's north is turned to true north. W
 Second 0 of the run is 2025-01-01 00:00 UTC; time stamps in messages count atomic time since 2004 in milliseconds.
 Stations have the numbers of their pseudonyms, and objects those of `detection_index`. Where a run has tracks, an object
 has its velocity, and a number that it keeps as long as its track and the pseudonym last; it says neither the number of
-the track nor that an attack fabricated the object. Objects are sorted by descending scores. A CPM that would be longer
-than 1,398 bytes, with BTP, is split into segments. A CPM describes the LiDAR where the message did so in the
-simulation, in its first segment.
+the track nor that an attack fabricated the object. A CPM that would be longer than 1,398 bytes, with BTP, is split into
+segments. A CPM describes the LiDAR where the message did so in the simulation, in its first segment.
 """
 
 import struct
@@ -195,7 +194,7 @@ class PcapPackets:
         columns, key = [*BOX, "class", "score", "transmitted", "speed_mps", "acceleration_mps2"], list(KEY)
         listed = self.selection.run.table("detections", [*key, *columns], mine)
         listed = listed[listed.transmitted & listed.observer.isin(self.selection.run.subjects.index)]
-        listed = in_message_order(listed)
+        listed = listed.sort_values(key, ignore_index=True)
         if listed.empty:
             return {}
         for name, more in (("tracks", TRACKED), ("stated_accuracies", STATED)):
@@ -286,17 +285,6 @@ class PcapPackets:
                 frames.append(frame(heads[i], number, "cpm", message))
             found[step, number] = frames
         return found
-
-
-def in_message_order(listed: pd.DataFrame) -> pd.DataFrame:
-    """Rows of the table `detections`, by message: the self report, then objects with descending scores.
-
-    Honest lists are in this order. Those with fabricated objects are not, and would be told by it.
-    """
-    order = np.lexsort(
-        [listed.detection_index, -listed.score, listed.detection_index > 0, listed.observer, listed.step]
-    )
-    return listed.take(order).reset_index(drop=True)
 
 
 def _capture(got: pd.DataFrame, frames: Frames) -> bytes:

@@ -159,10 +159,10 @@ class _Reports:
         """Denials with the column object_index: place of the object in its message, from 1; 0 is the self report."""
         where = at_steps(np.unique(denials.detection_step)) & (pc.field("detection_index") > 0)
         key = ["step", "observer", "detection_index"]
-        objects = self.selection.run.table("detections", [*key, "score", "transmitted"], where)
-        objects = pcap.in_message_order(objects[objects.transmitted])
+        objects = self.selection.run.table("detections", [*key, "transmitted"], where)
+        objects = objects[objects.transmitted].sort_values(key)
         objects["object_index"] = objects.groupby(key[:2]).cumcount() + 1
-        objects = objects.drop(columns=["score", "transmitted"]).rename(columns={"step": "detection_step"})
+        objects = objects.drop(columns="transmitted").rename(columns={"step": "detection_step"})
         found = denials.merge(objects, how="left", on=["detection_step", *key[1:]])
         return found.assign(object_index=found.object_index.fillna(0).astype(np.int64))
 

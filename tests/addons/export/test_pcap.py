@@ -208,13 +208,6 @@ def test_numbers_of_objects_do_not_tell_who_was_fabricated():
         assert len(set(column)) > 195 and 0.35 < (column < 2**15).mean() < 0.65
 
 
-def test_objects_of_a_message_are_sorted_by_score_whoever_fabricated_some():
-    rows = [(1, 8, 2, 0.4), (1, 8, 0, 0.1), (1, 8, 1, 0.3), (1, 8, 3, 0.9), (1, 7, 1, 0.5), (0, 8, 1, 0.2)]
-    listed = pd.DataFrame(rows, columns=["step", "observer", "detection_index", "score"])
-    sent = pcap.in_message_order(listed)[["step", "observer", "detection_index"]]
-    assert sent.to_numpy().tolist() == [[0, 8, 1], [1, 7, 1], [1, 8, 0], [1, 8, 3], [1, 8, 2], [1, 8, 1]]
-
-
 def test_stated_accuracies_are_confidence_values():
     """By hand: 1.96 standard deviations, in 0.01 m, 0.01 m/s, 0.1 degrees, 0.1 m. North is turned by 90 degrees."""
     perceived = pd.DataFrame([truck.box((9, 0, 1), (4, 2, 1.8), 0.0)] * 3).assign(**{
