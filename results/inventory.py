@@ -109,8 +109,18 @@ class Inventory:
         return self._by_table.get(table, ())
 
     def whole(self) -> "Inventory":
-        """Only the whole blocks, after which a resumed run goes on."""
+        """Only the whole blocks."""
         return Inventory(tuple(block for block in self.blocks if block.is_whole))
+
+    def to_go_on(self) -> "Inventory":
+        """The whole blocks after which a resumed run goes on.
+
+        The last block of a run has what ends with the run, too, such as the table of vehicles. A kill may have come
+        between this block and the end of the run.
+        """
+        blocks = self.whole().blocks
+        has_end = any(part.table == "vehicles" for block in blocks[-1:] for part in block.parts)
+        return Inventory(blocks[:-1] if has_end else blocks)
 
     def closed(self) -> "Inventory":
         """The whole blocks without what is open: files that stay while the run goes on."""

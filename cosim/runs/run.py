@@ -152,7 +152,7 @@ def resume(path: str | Path, advance: Advance, traffic_from: Path | None = None,
             if read_manifest(path)["status"] == "finished":
                 folder.release()  # a kill may have come between the last manifest and the release of the lock
                 return path
-            found = inventory.read(path).whole()
+            found = inventory.read(path).to_go_on()
             closed = [part for block in found.blocks for part in block.parts]
             if problem := next((p for part in closed if (p := content_problem(path, part))), ""):
                 raise Damaged(f"{path} is damaged: {problem}. Run again.")

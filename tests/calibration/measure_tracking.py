@@ -81,6 +81,7 @@ def tracked(data: Recorded, every: int, params: TrackingParams = PARAMS, until_s
         memory, state = track(memory, observers, found, params)
         took_s, n_sweeps = took_s + time.process_time() - begin, n_sweeps + len(observers.number)
         own = memory.tracks
+        own = own.take(np.lexsort((own.object_id, own.observer)))
         at = np.searchsorted(own.observer << 32 | own.object_id, found.observer << 32 | state.object_id)
         states.append(state)
         xy_m.append(places_m(own)[at])

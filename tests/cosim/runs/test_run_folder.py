@@ -128,6 +128,28 @@ def test_a_run_killed_before_its_first_step_goes_on(tmp_path):
         assert sorted(path.name for path in folder.iterdir()) == sorted(path.name for path in whole.iterdir())
 
 
+def test_a_run_killed_between_its_last_block_and_its_end_goes_on(tmp_path, monkeypatch):
+    """The last block holds what ends with the run, such as the table of vehicles, and must not be added to."""
+    sets = [*street_sets(tmp_path), "traffic.duration_s=6", "record.block_steps=3"]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    run(load(None, sets), whole, lambda *_: None)
+    write = Manifest.write
+
+    def killed_at_the_end(self, status, *inventory):
+        if status == "finished":
+            raise SystemExit
+        write(self, status, *inventory)
+
+    monkeypatch.setattr(Manifest, "write", killed_at_the_end)
+    with pytest.raises(SystemExit):
+        run(load(None, sets), killed, lambda *_: None)
+    monkeypatch.undo()
+    (killed / ".lock").unlink()  # as if the process were gone
+    assert open_run(killed, unfinished=True).status == "killed" and verify(killed)[1] == []
+    resume(killed, lambda *_: None)
+    assert fingerprint(killed) == fingerprint(whole) and verify(killed)[1] == []
+
+
 def test_a_config_that_is_another_by_now_is_not_gone_on_with(tmp_path):
     begun(tmp_path / "run", street_sets(tmp_path))
     (tmp_path / "run" / "config.toml").write_text("seed = 4")
