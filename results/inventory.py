@@ -119,7 +119,8 @@ class Inventory:
         between this block and the end of the run.
         """
         blocks = self.whole().blocks
-        has_end = any(part.table == "vehicles" for block in blocks[-1:] for part in block.parts)
+        last = blocks[-1].parts if blocks else ()
+        has_end = any(part.table == "vehicles" for part in last)
         return Inventory(blocks[:-1] if has_end else blocks)
 
     def closed(self) -> "Inventory":
