@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
@@ -269,11 +270,11 @@ def _measures(path: Path) -> pd.DataFrame:
 
 def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     """A table with these columns, each of one of these kinds. Damaged, in one line, if it was changed or has others."""
-    study = path.parents[2]
     if changed := changed_in(path.parent):
+        study = path.parents[2]
+        again = shlex.join(["cosim", "sweep", str(study / "study.toml"), "--out", str(study)])
         raise durable.Damaged(
-            f"{path.parent}: {', '.join(changed)} changed after the run was measured. "
-            f"`cosim sweep {study}/study.toml --out {study}` measures it again."
+            f"{path.parent}: {', '.join(changed)} changed after the run was measured. `{again}` measures it again."
         )
     try:
         found = pq.read_table(path, partitioning=None).to_pandas()

@@ -78,10 +78,10 @@ def _problems(folder: Path, manifest: dict[str, Any], found: Inventory, is_live:
             problem = "" if is_named else content_problem(folder, part)
             if problem:
                 yield problem
-    whole = found.whole().blocks
-    for block in whole if manifest["status"] != "finished" and not is_live else ():
+    goes_on = found.to_go_on().blocks
+    for block in goes_on if manifest["status"] != "finished" and not is_live else ():
         for name, digest in block.checkpoint.items():
-            if block is whole[-1] or not is_state(name):
+            if block is goes_on[-1] or not is_state(name):
                 yield from _file(folder, name, digest)
     for name in links(folder):
         yield f"{name} is a symbolic link"

@@ -9,7 +9,7 @@ from numpy import ndarray
 from cosim.attacks.attack import AttackContext, fabricated
 from cosim.base import rng
 from cosim.base.ragged import differs_from_last, place_in_group
-from cosim.messages.content import FABRICATED, SELF, SENSED, Detections
+from cosim.messages.content import FABRICATED, SENSED, Detections, claims_to_be_own
 from sensors.boxes import Boxes
 
 N_ALIKE = 8
@@ -158,7 +158,7 @@ def numbered(
     """
     begins = differs_from_last(listed.observer) | differs_from_last(listed.identity)
     of_list = np.cumsum(begins) - 1
-    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))
+    is_self = claims_to_be_own(listed)
     rises = np.diff(listed.score, prepend=np.inf) > 0
     is_next = ~begins & ~np.roll(is_self, 1)
     lies = np.isin(of_list, of_list[listed.origin == FABRICATED])

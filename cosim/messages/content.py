@@ -119,6 +119,11 @@ class Detections(Rows):
         return self.observer.astype(np.int64) << 32 | self.detection_index
 
 
+def claims_to_be_own(listed: Detections) -> Bool[ndarray, "d"]:
+    """Whether each detection is a self report, as messages say: further identities of a vehicle send theirs first."""
+    return (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))
+
+
 def velocities(listed: Detections) -> Float[ndarray, "d 2"]:
     """Velocity east and north that each detection claims; NaN where it claims none.
 

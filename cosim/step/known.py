@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from cosim.base.ragged import ptr_of, rows_of
-from cosim.messages.content import SELF, Detections
+from cosim.messages.content import Detections, claims_to_be_own
 from cosim.step.ground_truth import GroundTruth
 from trust import tables
 from trust.matching import Pairs
@@ -112,6 +112,6 @@ def for_trust(
     n_messages
         Number of messages.
     """
-    is_self = (listed.origin == SELF) | ((listed.identity > 0) & (listed.detection_index == 0))  # as messages claim
+    is_self = claims_to_be_own(listed)
     detections = tables.SentDetections(message, listed.detection_index, listed.label, listed.score, is_self)
     return detections, ptr_of(message, n_messages)

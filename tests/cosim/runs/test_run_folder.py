@@ -146,6 +146,11 @@ def test_a_run_killed_between_its_last_block_and_its_end_goes_on(tmp_path, monke
     monkeypatch.undo()
     (killed / ".lock").unlink()  # as if the process were gone
     assert open_run(killed, unfinished=True).status == "killed" and verify(killed)[1] == []
+    (state,) = killed.glob("checkpoint/state-*")
+    kept = state.read_bytes()
+    state.write_bytes(kept[:-1])
+    assert len(verify(killed)[1]) == 1  # it goes on from this
+    state.write_bytes(kept)
     resume(killed, lambda *_: None)
     assert fingerprint(killed) == fingerprint(whole) and verify(killed)[1] == []
 
