@@ -1,6 +1,7 @@
 """Checks of a config before anything is loaded or written, and changes of its inputs since an earlier run."""
 
 import math
+import os
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,7 @@ def check(config: Config) -> Scenario:
     ValueError
         In one line, if the config cannot run.
     """
+    _check_compiler()
     scenario = find(config.traffic.scenario, config.traffic.trace)
     scenario.check_simulator()
     _check_degrees(config, scenario)
@@ -71,6 +73,12 @@ def check(config: Config) -> Scenario:
         key = np.zeros(1, np.uint64)
         lidar.scan(one, car, first, Scene.empty(), config.lidar, key)
     return scenario
+
+
+def _check_compiler() -> None:
+    """Raise ValueError if Numba compiles nothing: a step would take hours."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        raise ValueError("NUMBA_DISABLE_JIT is set, and nothing runs without compiled code: unset NUMBA_DISABLE_JIT")
 
 
 def _check_degrees(config: Config, scenario: Scenario) -> None:

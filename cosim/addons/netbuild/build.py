@@ -19,6 +19,7 @@ from typing import Any
 import sumo_nets
 from cosim.addons.netbuild import buildings, buses, osm_files, streets
 from cosim.addons.netbuild.gate_flows import GateFlow, gate_flows, gate_trips
+from cosim.runs.stop import Failed
 from sumo_nets import demand, osm, sumotools
 from sumo_nets.footprints import write_footprints
 from sumo_nets.ground import ground_of
@@ -113,6 +114,14 @@ def pack(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{out} cannot be made: {error.strerror}. Give another folder.") from None
+    try:
+        _fill(recipe, text, work, out)
+    except OSError as error:
+        raise Failed(f"{out}: {error.strerror or error}. The city is not complete: remove the folder.") from None
+
+
+def _fill(recipe: dict[str, Any], text: str, work: Path, out: Path) -> None:
+    """Write the files of a city into its folder."""
     _pack(sumotools.without_header(work / "net.net.xml"), out / "net.net.xml.gz")
     _pack((work / "buildings.poly.xml").read_text(encoding="utf-8"), out / "buildings.poly.xml.gz")
     _pack(sumotools.without_header(work / "demand.rou.xml"), out / "demand.rou.xml.gz")

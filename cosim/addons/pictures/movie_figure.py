@@ -5,6 +5,7 @@ Each picture shows what vehicles fabricated, detected and believed when they las
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,8 @@ def write(
                 progress(number + 1, len(steps))
         partial.replace(out)
     except OSError as error:
+        with suppress(OSError):  # a file may stand where its folder should be
+            partial.unlink()
         raise ValueError(f"--out {out} cannot be written: {error.strerror or error}.") from None
     return out
 

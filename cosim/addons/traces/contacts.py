@@ -23,6 +23,7 @@ from cosim.runs import folder as run_folder
 from cosim.runs.drive import Advance
 from cosim.runs.manifest import versions
 from cosim.runs.source import source
+from cosim.runs.stop import Failed
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import is_observed, timesteps
@@ -426,9 +427,11 @@ def _counting(
     folder = run_folder.create(out, name)
     try:
         yield _Counted(folder.path, Recorder(folder.path, "summary", block_steps), trackers)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             folder.remove()
+        if isinstance(error, OSError):
+            raise Failed(f"{error.filename or folder.path}: {error.strerror or error}. Nothing was written.") from None
         raise
     folder.release()
 

@@ -1,11 +1,10 @@
 """The folder of an export: whole files, resumable, nothing outside it."""
 
-import errno
-
 import pytest
 
 from cosim.addons.export.folder import Folder
 from results.moments import File
+from tests.drive import full_disk
 
 
 def test_goes_on_where_it_stopped(tmp_path):
@@ -41,12 +40,9 @@ def test_nothing_outside(tmp_path):
 
 
 def test_a_full_disk_is_one_line(tmp_path):
-    def full():
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     folder = Folder.open(tmp_path / "out", {})
     with pytest.raises(ValueError, match=r"cannot be written: No space left on device.*goes on there"):
-        folder.write(File("a.bin", full))
+        folder.write(File("a.bin", full_disk))
     with pytest.raises(ValueError, match="GB are to be written"):
         folder.check_room(1e18)
     assert not (tmp_path / "out/a.bin").exists()

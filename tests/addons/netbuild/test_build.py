@@ -10,9 +10,11 @@ import shapely
 from shapely import box
 
 from cosim.addons.netbuild import build, buildings, streets
+from cosim.runs.stop import Failed
 from sumo_nets import catalogue, osm
 from sumo_nets.demand import Draw
 from sumo_nets.ground import Ground
+from tests.drive import full_disk
 
 M = 1 / 111_195  # degrees of latitude in a metre
 
@@ -172,6 +174,12 @@ def test_another_extract_than_the_recipe_names_is_refused(tmp_path):
         build._source(recipe["source"], other, tmp_path)
     with pytest.raises(ValueError, match="there is no such file"):
         build._source(recipe["source"], tmp_path / "nothing", tmp_path)
+
+
+def test_on_a_full_disk_the_folder_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "_fill", full_disk)
+    with pytest.raises(Failed, match="town: No space left on device"):
+        build.pack({}, "", tmp_path, tmp_path / "town")
 
 
 @pytest.mark.verify

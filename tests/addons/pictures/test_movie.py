@@ -1,8 +1,11 @@
 """The movie of a run."""
 
 import numpy as np
+import pytest
 
+from cosim.addons.pictures import movie_figure
 from cosim.addons.pictures.movie_figure import _Film
+from tests.drive import full_disk
 from tests.results.tiny import fleet, make
 
 
@@ -46,3 +49,11 @@ def test_what_vehicles_last_detected_fabricated_and_believed_is_shown_until_they
         film.show(step)
         drawn = [marks.get_offsets()[:, 0].tolist() for marks in (film._finds, film._ghosts, film._beliefs)]
         assert drawn == [finds, ghosts, beliefs], step
+
+
+def test_on_a_full_disk_nothing_stays(tmp_path, monkeypatch):
+    run = make(tmp_path, 2, vehicles=fleet("honest"), actors=[], detections=[], trust=[])
+    monkeypatch.setattr(movie_figure.PillowWriter, "finish", full_disk)
+    with pytest.raises(ValueError, match="cannot be written: No space left on device"):
+        movie_figure.write(run, tmp_path / "m" / "m.gif", None, [], [])
+    assert not list((tmp_path / "m").iterdir())

@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 
 from cosim.addons.traces.contacts import ContactParams, contacts
+from cosim.runs.stop import Failed
 from results.archive import open_run
 from results.encounters import EncounterParams, EncounterTracker
 from sumo_nets import catalogue
 from tests.cosim.traffic.test_replay import record
-from tests.drive import assert_refused, cosim, simulate
+from tests.drive import assert_refused, cosim, full_disk, simulate
 
 KEY = ["a", "b", "start_step", "radius_m", "pairs"]
 CONFIG = """\
@@ -120,6 +121,13 @@ def test_a_folder_that_reads_like_a_run(driven):
         assert done.returncode == 0, f"{words}: {done.stderr}"
     run = open_run(driven / "plain")
     assert run.measure.value("encounters.n", "all, 100 m") == len(run.encounters)
+
+
+def test_on_a_full_disk_nothing_stays(driven, monkeypatch):
+    monkeypatch.setattr("cosim.addons.traces.contacts._Counted.close", full_disk)
+    with pytest.raises(Failed, match="full: No space left on device"):
+        count([driven / "run"], driven / "full")
+    assert not (driven / "full").exists()
 
 
 def test_positions_of_a_run_as_a_table_give_the_same_encounters(driven):

@@ -157,3 +157,9 @@ def test_rounds_that_cut_the_window_of_a_sidelink_are_noted(sets, said):
     """At 10 Hz a round has 40 ms, and stations choose among 20 to 40 slots instead of 100."""
     at_10_hz = "sensing_interval_s=0.1", "traffic.step_s=0.1", "sensing_phase=common"
     assert_noted((*at_10_hz, *sets.split()), "radio.sidelink.window_s", said)
+
+
+def test_without_compiled_code_nothing_runs(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    with pytest.raises(ValueError, match="unset NUMBA_DISABLE_JIT"):
+        check(load(None, []))
