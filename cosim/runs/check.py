@@ -76,9 +76,9 @@ def check(config: Config) -> Scenario:
 
 
 def _check_compiler() -> None:
-    """Raise ValueError if Numba compiles nothing: a step would take hours."""
+    """Raise ValueError if Numba compiles nothing: a step calls functions that only compiled code has."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        raise ValueError("NUMBA_DISABLE_JIT is set, and nothing runs without compiled code: unset NUMBA_DISABLE_JIT")
+        raise ValueError("NUMBA_DISABLE_JIT is set, and a run needs compiled code: unset NUMBA_DISABLE_JIT")
 
 
 def _check_degrees(config: Config, scenario: Scenario) -> None:

@@ -1,7 +1,8 @@
 """The folder of a run. It belongs to one run and is locked while the run is written."""
 
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,6 +43,19 @@ class RunFolder:
         for folder in reversed(self.made):
             with suppress(OSError):
                 folder.rmdir()
+
+    @contextmanager
+    def or_nothing(self) -> Iterator[None]:
+        """Remove the folder if the block fails. On a full disk, or where nobody may write, Failed says where."""
+        try:
+            yield
+        except BaseException as error:
+            with suppress(OSError):
+                self.remove()
+            if isinstance(error, OSError):
+                where = error.filename or self.path
+                raise Failed(f"{where}: {error.strerror or error}. Nothing was written.") from None
+            raise
 
 
 def check(out: Path | None) -> None:

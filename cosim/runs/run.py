@@ -90,7 +90,7 @@ def run(
         parts, registry, traffic = load_parts(config, scenario, traffic_from)
         with closing(traffic):
             folder = run_folder.create(out, scenario.name)
-            try:
+            with folder.or_nothing():
                 manifest = Manifest(folder.path, config, provenance(config, scenario), sources(config))
                 manifest.summary = scene_summary(scenario).lines
                 manifest.begin()
@@ -98,12 +98,6 @@ def run(
                 warmup_s = 0.0 if traffic_from is not None else scenario.warmup_of(config.traffic)
                 drive = Drive(parts, scenario, folder, warmup_s, traffic, registry, recorder, manifest, advance, stop)
                 drive.on_step = on_step
-            except BaseException as error:
-                with suppress(OSError):
-                    folder.remove()
-                if isinstance(error, OSError):
-                    raise Failed(f"{folder.path}: {error.strerror or error}. Nothing was written.") from None
-                raise
             _carry_out(drive, folder)
     return folder.path
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -23,7 +23,6 @@ from cosim.runs import folder as run_folder
 from cosim.runs.drive import Advance
 from cosim.runs.manifest import versions
 from cosim.runs.source import source
-from cosim.runs.stop import Failed
 from cosim.step.trackers.encounters import PairSearch, update_encounters
 from cosim.traffic.actors import ActorRegistry
 from cosim.traffic.fcd import is_observed, timesteps
@@ -425,14 +424,8 @@ def _counting(
     """Write a folder, or nothing at all if something goes wrong."""
     trackers = tuple(EncounterTracker(p, step_s, appearance=appearance) for p in params.encounters)
     folder = run_folder.create(out, name)
-    try:
+    with folder.or_nothing():
         yield _Counted(folder.path, Recorder(folder.path, "summary", block_steps), trackers)
-    except BaseException as error:
-        with suppress(OSError):
-            folder.remove()
-        if isinstance(error, OSError):
-            raise Failed(f"{error.filename or folder.path}: {error.strerror or error}. Nothing was written.") from None
-        raise
     folder.release()
 
 
