@@ -31,7 +31,7 @@ class AreaParams:
     slack_m: NotNegative100 = 2.0
     """Tolerance in range and beside the field of view [m]; 0 is the paper's strict area."""
     height_m: Positive100 = 3.0
-    """Largest height of the bottom above or below the sensor [m]."""
+    """Largest height of the bottom above or below the road under the sensor [m]."""
     own_radius_m: NotNegative100 = 1.5
     """A car this near to the observer's own box counts even outside the field of view: it is a report about the
     observer [m]."""
@@ -84,7 +84,8 @@ def in_evaluation_area(
     Notes
     -----
     Area filter of TruPercept: |left| <= forward + slack for its 90 degrees.   Deviations: other fields of view keep
-    the slack at their edges; 360 degrees have no edge.
+    the slack at their edges; 360 degrees have no edge. Heights are those above the road, because sensors of vans and
+    roadside units are higher than that of the paper's car.
     """
     exempt = np.zeros(0, bool)
     near = boxes.take(slice(0, 0))
@@ -96,6 +97,7 @@ def in_evaluation_area(
     reach_m = params.range_m + params.slack_m
     return evidence_kernels.in_area(
         pairs,
+        sweeps.road_z_m(),
         exempt,
         near.xyz_m,
         near.lwh_m,
@@ -161,7 +163,7 @@ def plausible(
     place of the camera, and the field of view is the sensor's. `gaps = "unknown"` is ours.
     """
     pairs = _moving_pairs(sweeps, o, boxes, b, velocity_mps)
-    limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad)
+    limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad), sweeps.road_z_m()
     return evidence_kernels.free_space(
         sweeps.range_steps,
         sweeps.step_m,

@@ -33,8 +33,8 @@ def _in_view(forward, left, fov_rad, slope, slack_m):
 
 
 @compiled
-def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
-    """Whether the box of each pair lies in the area of its sensor.
+def in_area(pairs, road_z, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, slack_m, own_radius_m):
+    """Whether the box of each pair lies in the area of its sensor; `road_z` is the height of the road in its frame.
 
     A box that is marked in `exempt` need not be in view if it is near the sensor's own box, which is given in the frame
     of the sensor. Without own boxes, no box is exempt.
@@ -44,7 +44,7 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
         x, y, z, _, _, height, _ = in_sensor_frame(pairs, k)
         bottom = z - 0.5 * height
         distance = np.sqrt(x * x + y * y + bottom * bottom)
-        if distance <= range_m and abs(bottom) <= height_m:
+        if distance <= range_m and abs(bottom - road_z[pairs.o[k]]) <= height_m:
             inside = _in_view(x, y, fov_rad, slope, slack_m)
             if not inside and len(own_xyz) > 0 and exempt[pairs.b[k]]:
                 o = pairs.o[k]
@@ -59,11 +59,11 @@ def in_area(pairs, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad, slope, 
 
 
 @kernel
-def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope):
-    """Whether the free-space test applies to a box (sensor frame)."""
+def is_testable(x, y, z, height, range_m, height_m, fov_rad, slope, road_z):
+    """Whether the free-space test applies to a box (sensor frame); `road_z` is the height of the road."""
     bottom = z - 0.5 * height
     distance = np.sqrt(x * x + y * y + bottom * bottom)
-    near_enough = distance < range_m and abs(bottom) <= height_m
+    near_enough = distance < range_m and abs(bottom - road_z) <= height_m
     ahead = x != 0.0 or y != 0.0  # straight below there is no pyramid
     return near_enough and ahead and z <= 0.0 and _in_view(x, y, fov_rad, slope, 0.0)
 
@@ -160,9 +160,9 @@ def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, rule):
     """Whether the sweep of each pair allows that an object stands in its box: true where the test does not apply.
 
     `run` is `Pairs.runs`; its runs are divided among threads. `area` is the reach and the height of the evaluation
-    area, and the slope of its edges. `rule` is a share, and whether gaps between rays permit a box. An object can stand
-    there if more than this share of the returns in the pyramid through its box are nearer than the box; if gaps permit
-    it, also where no ray passes that pyramid.
+    area, the slope of its edges, and the height of the road in the frame of each sensor. `rule` is a share, and whether
+    gaps between rays permit a box. An object can stand there if more than this share of the returns in the pyramid
+    through its box are nearer than the box; if gaps permit it, also where no ray passes that pyramid.
     """
     allowed = np.ones(len(pairs.o), np.bool_)
     given = range_steps, step_m, beams, pairs, run, area, margin_m, rule
@@ -189,13 +189,13 @@ def _free_space(allowed, begin, end, given):
 @kernel
 def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin_m, rule, room):
     """Write what `free_space` returns, for the pairs `first` to `end` of one sweep."""
-    reach_m, height_m, slope = area
+    reach_m, height_m, slope, road_z = area
     least_share, gaps_permit = rule
     corner, plane = room
     beams, columns, slopes = view
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
-        if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope):
+        if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope, road_z[pairs.o[k]]):
             away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
             window = spans(middle, half, columns), _rows(slopes, low, high)
             limit = away + margin_m

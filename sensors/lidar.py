@@ -241,6 +241,10 @@ class RangeImages:
         """
         return replace(self, poses=self.poses.displaced(error))
 
+    def road_z_m(self) -> Float[ndarray, "m"]:
+        """Height of the road under each sensor, in the frame of the sensor."""
+        return self.ground_m - self.poses.origin_m[:, 2]
+
     def seen_after_s(
         self,
         o: Int[ndarray, "k"],

@@ -262,7 +262,6 @@ class Drive:
             **({"ended_early": self.ended} if self.ended else {}),
             **({"victims_absent": absent} if (absent := self._absent_victims()) else {}),
             **({"attackers_absent": missing} if (missing := self._absent_attackers()) else {}),
-            **self._high_sensors(),
         }
 
     def _incomplete_rings(self) -> dict[str, Any]:
@@ -289,18 +288,6 @@ class Drive:
             if missing := [name for name in attack.ids if name not in equipped]:
                 absent[f"attacks.{number}.ids"] = missing
         return absent
-
-    def _high_sensors(self) -> dict[str, Any]:
-        """How many vehicles cannot evaluate what stands beside them, because their sensors are too high above it."""
-        config, actors = self.parts.config, self.registry
-        is_vehicle = actors.equipped & (actors.shape != Shape.ROADSIDE_UNIT)
-        sensor_m = actors.lwh_m[is_vehicle, 2] + config.lidar.mount_above_roof_m
-        is_high = sensor_m > config.area.height_m
-        if not (config.sensing and is_high.any()):
-            return {}
-        about: dict[str, Any] = {"n": int(is_high.sum()), "equipped": len(is_high)}
-        about["highest_m"] = round(float(sensor_m.max()), 2)
-        return {"high_sensors": about | {"area_height_m": config.area.height_m}}
 
     def _n_placed(self) -> int:
         """Parked cars and placed vehicles, which are no traffic, summed over the steps like `n_on_road`."""

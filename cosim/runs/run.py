@@ -1,7 +1,6 @@
 """Runs a config into a folder, and resumes such a run."""
 
 import hashlib
-import math
 import re
 import shlex
 import shutil
@@ -416,24 +415,13 @@ def remarks(folder: Path) -> list[str]:
         more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
         few = ", ".join(missing[:_NAMED])
         absent.append(f"note: {key}: {few}{more} did not attack: no equipped vehicle of that id was on the road.")
-    return traffic_remarks(summary) + absent + _high_sensors(summary) + pseudonym_remarks(summary)
+    return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
 
 
 def new_remarks(folder: Path, said: dict[str, str]) -> list[str]:
     """Of the `remarks` on a run, those that are not in `said`, where they are then. Numbers make no difference."""
     kinds = ((re.sub(r"[\d.,]+", "", remark), remark) for remark in remarks(folder))
     return [remark for kind, remark in kinds if said.setdefault(kind, remark) is remark]
-
-
-def _high_sensors(summary: dict[str, Any]) -> list[str]:
-    """A note if vehicles are so high that what stands on the road is outside the area that they evaluate."""
-    if (high := summary.get("high_sensors")) is None:
-        return []
-    limit_m, enough_m = high["area_height_m"], math.ceil(high["highest_m"] + 0.5)
-    return [
-        f"note: {high['n']} of {high['equipped']} equipped vehicles evaluate nothing on a level road: their sensors "
-        f"are up to {high['highest_m']:g} m above it, and area.height_m = {limit_m:g}. Set area.height_m = {enough_m}."
-    ]
 
 
 def pseudonym_remarks(summary: dict[str, Any]) -> list[str]:

@@ -24,7 +24,7 @@ class MixedImages:
     """Range images of observers with different LiDARs."""
 
     of_lidar: tuple[RangeImages, ...]
-    """Of the vehicles, then of the units of each sensor and height."""
+    """Of the vehicles, then of the units of each kind of LiDAR."""
     lidar: Int[ndarray, "m"]
     """LiDAR of each observer."""
     row: Int[ndarray, "m"]
@@ -73,25 +73,22 @@ class MixedImages:
 
 @dataclass(frozen=True, slots=True)
 class MixedPerception:
-    """The perception of the vehicles, and one for each sensor and height of roadside units."""
+    """The perception of the vehicles, and one for each kind of LiDAR of roadside units."""
 
     of_lidar: tuple[Perception, ...]
     unit_key: UInt64[ndarray, "u"]
     """Keys of the names of the units, ascending."""
     lidar_of_unit: Int[ndarray, "u"]
     """LiDAR of each unit, from 1 on."""
-    height_m: tuple[float, ...]
-    """Height of each LiDAR by which its evaluation area reaches farther down than a vehicle's; 0 for vehicles."""
 
     @staticmethod
     def of(vehicles: Perception, units: RoadsideUnits) -> "MixedPerception":
         """The perception of vehicles and units."""
-        kind_of_unit = list(zip(units.sensor, units.height_m.tolist(), strict=True))
-        kinds = sorted(set(kind_of_unit))
-        number = np.array([1 + kinds.index(kind) for kind in kind_of_unit])
+        kinds = sorted(set(units.sensor))
+        number = np.array([1 + kinds.index(sensor) for sensor in units.sensor])
         order = np.argsort(units.name_key)
-        of_lidar, height_m = [vehicles], [0.0]
-        for sensor, height in kinds:
+        of_lidar = [vehicles]
+        for sensor in kinds:
             of_units = Perception(
                 city=vehicles.city,
                 lidar=lidar_of(vehicles.lidar, sensor),
@@ -102,12 +99,10 @@ class MixedPerception:
                 weather=vehicles.weather,
             )
             of_lidar.append(of_units)
-            height_m.append(height)
         return MixedPerception(
             of_lidar=tuple(of_lidar),
             unit_key=units.name_key[order],
             lidar_of_unit=number[order],
-            height_m=tuple(height_m),
         )
 
     def __call__(self, world: World, observers: Int[ndarray, "e"], watch: Stopwatch) -> Observed:
@@ -149,7 +144,6 @@ class MixedPerception:
         plausible = np.ones(len(asked.testing), bool)
         for number, perception in enumerate(self.of_lidar):
             counting, testing, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
-            mine = replace(mine, area=self._area(asked.area, number))
             images = sweeps.of_lidar[number]
             n_points[counting], plausible[testing] = perception.answers(images, mine)
             if number:  # on a mast
@@ -171,14 +165,9 @@ class MixedPerception:
         for number, images in enumerate(sweeps.of_lidar):
             k = np.flatnonzero(sweeps.lidar[o] == number)
             bodies = own.take(np.flatnonzero(sweeps.lidar == number))
-            area_of_lidar = self._area(area, number)
             row = sweeps.row[o[k]]
-            inside[k] = evidence.in_evaluation_area(images, row, boxes, area_of_lidar, b[k], label, bodies)
+            inside[k] = evidence.in_evaluation_area(images, row, boxes, area, b[k], label, bodies)
         return inside
-
-    def _area(self, area: AreaParams, number: int) -> AreaParams:
-        """The evaluation area of a LiDAR: what stands on the street is below a mast, not beside it."""
-        return replace(area, height_m=area.height_m + self.height_m[number])
 
 
 def _below_the_beams(

@@ -234,13 +234,6 @@ def test_a_victim_or_an_attacker_that_never_appears_is_said(cosim, tmp_path, wor
     assert "attacks.0.ids: ghost did not attack: no equipped vehicle" in ended.err, ended.err
 
 
-def test_sensors_that_are_too_high_to_evaluate_are_said(cosim, tmp_path, words):
-    """A car of 1.5 m with a LiDAR 1.75 m above its roof: 3.25 m above the road, of which the area ends at 3 m."""
-    ended = cosim("run", *words, *set_words(("lidar.mount_above_roof_m=1.75",)), "--out", "run", cwd=tmp_path)
-    assert ended.status == 0 and "evaluate nothing on a level road: their sensors are up to 3.25 m above" in ended.err
-    assert not (open_run(tmp_path / "run").evaluations.visibility > 0).any()
-
-
 def test_the_ray_caster_is_said(cosim, run, tmp_path, words):
     ended = cosim("run", *words, "--set", "lidar.engine=embree", "--out", "run", cwd=tmp_path, cpu_s=30)
     assert not judged(ended, tmp_path / "run"), ended

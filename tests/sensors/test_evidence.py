@@ -43,10 +43,10 @@ def blind(n=1, fov_deg=90.0) -> RangeImages:
     return RangeImages(poses, np.arange(n), np.zeros(n), grid, 80.0, empty, FINEST_M)
 
 
-def applies_to(sensed: Boxes, fov_rad: float):
+def applies_to(sensed: Boxes, fov_rad: float, road_z: float = 0.0):
     area = AreaParams()
     slope = edge_slope(fov_rad)
-    return whole_cloud.applies_to(sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, slope)
+    return whole_cloud.applies_to(sensed.xyz_m, sensed.lwh_m, area.range_m, area.height_m, fov_rad, slope, road_z)
 
 
 def by_cloud(found: list[dict]):
@@ -111,6 +111,17 @@ def test_transform_vectors():
     assert level >= 10
 
 
+@pytest.mark.parametrize("height_m", [1.5, 2.86, 3.4, 12.0])
+def test_the_height_of_the_area_is_that_above_the_road(height_m):
+    """SUMO's vans are 2.86 m high, its buses 3.4 m. Bottoms may be 3 m above or below the road under the sensor."""
+    body = Boxes(np.array([[0.0, 0.0, 40 + height_m / 2]]), np.array([[5.0, 2.0, height_m]]), np.zeros(1))
+    sweeps = scan(body, np.zeros(1, np.uint8), np.zeros(1, int), Scene.empty(), LidarParams(), np.zeros(1, np.uint64))
+    bottom_m = np.array([-3.1, -2.9, 0.0, 2.9, 3.1])
+    others = boxes_at(np.column_stack([np.full(5, 20.0), np.zeros(5), 40.75 + bottom_m]), (4.0, 1.8, 1.5))
+    kept = in_evaluation_area(sweeps, np.zeros(5, int), others, AreaParams())
+    assert kept.tolist() == [False, True, True, True, False]
+
+
 @pytest.mark.parametrize("fov_deg", [60.0, 90.0, 180.0, 270.0, 360.0])
 def test_area_follows_the_field_of_view(fov_deg):
     angle = np.radians(np.arange(-179, 180, 2.0))
@@ -167,14 +178,15 @@ def test_windows_equal_whole_clouds(seed, params):
         whole = whole_cloud.points_in_boxes_xyz(sweeps.xyz(o), sensed.xyz_m, sensed.lwh_m, sensed.yaw_rad)
         assert (points_in_boxes(sweeps, at, asked) == whole).all()
         fov_rad, area, pairs = sweeps.beams.fov_rad, AreaParams(), sweeps.poses.pairs(at, asked)
-        free = applies_to(sensed, fov_rad)
+        road_z = sweeps.road_z_m()
+        free = applies_to(sensed, fov_rad, road_z[o])
         planes, distance = whole_cloud.frusta(sensed.xyz_m[free], sensed.lwh_m[free])
         seen, closer = np.zeros((2, len(asked)), int)
         seen[free], closer[free] = whole_cloud.free_space_xyz(sweeps.xyz(o), planes, distance, 0.25)
         for share in (0.0, 0.1, 0.5, 0.9):
             allowed = evidence_kernels.free_space(
                 sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
-                (area.range_m, area.height_m, edge_slope(fov_rad)), 0.25, (share, False),
+                (area.range_m, area.height_m, edge_slope(fov_rad), road_z), 0.25, (share, False),
             )  # fmt: skip
             assert (allowed == ~free | (closer > share * seen)).all()
         assert (plausible(sweeps, at, asked)[free] == (closer > 0.1 * seen)[free]).all()

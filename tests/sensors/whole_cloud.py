@@ -37,11 +37,11 @@ def free_space_xyz(points, planes, distance, margin_m):
 
 
 @njit(cache=True)
-def applies_to(xyz, lwh, range_m, height_m, fov_rad, slope):
+def applies_to(xyz, lwh, range_m, height_m, fov_rad, slope, road_z):
     """Whether the free-space test applies to each box (sensor frame)."""
     found = np.zeros(len(xyz), np.bool_)
     for k in range(len(xyz)):
-        found[k] = is_testable(xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 2], range_m, height_m, fov_rad, slope)
+        found[k] = is_testable(xyz[k, 0], xyz[k, 1], xyz[k, 2], lwh[k, 2], range_m, height_m, fov_rad, slope, road_z)
     return found
 
 

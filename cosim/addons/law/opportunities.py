@@ -95,6 +95,7 @@ class Sensing:
         no_bodies, fov_rad, area = np.zeros((0, 3)), self.beams.fov_rad, self.area
         inside = in_area(
             poses.pairs(o, boxes, near.row),
+            lidar.height_of_road_m(boxes, observers) - poses.origin_m[:, 2],
             np.zeros(0, bool),
             no_bodies,
             no_bodies,

@@ -96,7 +96,7 @@ def test_units_report_what_is_around_them_and_not_themselves(observed):
 
 
 def test_units_evaluate_what_stands_on_the_street_below_them(observed):
-    """The bottom of a car at 8 m is 6 m below the sensor, farther than area.height_m = 3 m beside a vehicle's."""
+    """The bottom of a car at 8 m is 6 m below the sensor. Heights are those above the road (area.height_m = 3)."""
     world, perception, after = observed[1]
     n, unit = len(world), int(np.flatnonzero(world.is_roadside)[0])
     cars = np.flatnonzero(~world.is_roadside)
