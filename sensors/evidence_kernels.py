@@ -44,7 +44,8 @@ def in_area(pairs, road_z, exempt, own_xyz, own_lwh, range_m, height_m, fov_rad,
         x, y, z, _, _, height, _ = in_sensor_frame(pairs, k)
         bottom = z - 0.5 * height
         distance = np.sqrt(x * x + y * y + bottom * bottom)
-        if distance <= range_m and abs(bottom - road_z[pairs.o[k]]) <= height_m:
+        above_road = bottom - road_z[pairs.o[k]]
+        if distance <= range_m and abs(above_road) <= height_m:
             inside = _in_view(x, y, fov_rad, slope, slack_m)
             if not inside and len(own_xyz) > 0 and exempt[pairs.b[k]]:
                 o = pairs.o[k]
@@ -193,9 +194,11 @@ def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin
     least_share, gaps_permit = rule
     corner, plane = room
     beams, columns, slopes = view
+    fov_rad = beams.fov_rad
     for k in range(first, end):
         x, y, z, length, width, height, _ = in_sensor_frame(pairs, k)
-        if is_testable(x, y, z, height, reach_m, height_m, beams.fov_rad, slope, road_z[pairs.o[k]]):
+        road = road_z[pairs.o[k]]
+        if is_testable(x, y, z, height, reach_m, height_m, fov_rad, slope, road):
             away, middle, half, low, high = frustum(x, y, z, length, width, height, corner, plane)
             window = spans(middle, half, columns), _rows(slopes, low, high)
             limit = away + margin_m

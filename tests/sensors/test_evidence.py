@@ -114,10 +114,10 @@ def test_transform_vectors():
 @pytest.mark.parametrize("height_m", [1.5, 2.86, 3.4, 12.0])
 def test_the_height_of_the_area_is_that_above_the_road(height_m):
     """SUMO's vans are 2.86 m high, its buses 3.4 m. Bottoms may be 3 m above or below the road under the sensor."""
-    body = Boxes(np.array([[0.0, 0.0, 40 + height_m / 2]]), np.array([[5.0, 2.0, height_m]]), np.zeros(1))
-    sweeps = scan(body, np.zeros(1, np.uint8), np.zeros(1, int), Scene.empty(), LidarParams(), np.zeros(1, np.uint64))
-    bottom_m = np.array([-3.1, -2.9, 0.0, 2.9, 3.1])
-    others = boxes_at(np.column_stack([np.full(5, 20.0), np.zeros(5), 40.75 + bottom_m]), (4.0, 1.8, 1.5))
+    body = boxes_at([[0.0, 0.0, 40.0 + height_m / 2]], (5.0, 2.0, height_m))
+    one, key = np.zeros(1, int), np.zeros(1, np.uint64)
+    sweeps = scan(body, one.astype(np.uint8), one, Scene.empty(), LidarParams(), key)
+    others = boxes_at([[20.0, 0.0, 40.75 + up_m] for up_m in (-3.1, -2.9, 0.0, 2.9, 3.1)], (4.0, 1.8, 1.5))
     kept = in_evaluation_area(sweeps, np.zeros(5, int), others, AreaParams())
     assert kept.tolist() == [False, True, True, True, False]
 
