@@ -35,9 +35,10 @@ class AreaParams:
     own_radius_m: NotNegative100 = 1.5
     """A car this near to the observer's own box counts even outside the field of view: it is a report about the
     observer [m]."""
-    gaps: Literal["free", "unknown"] = "free"
-    """What a place is that no ray passes, between two beams or below the lowest one. `free`: free space, as in the
-    paper's code. `unknown`: the sweep says nothing of it."""
+    gaps: Literal["free", "below", "unknown"] = "free"
+    """What a place is that no ray passes. `free`: free space, as in the paper's code. `below`: the sweep says nothing
+    of what is below the lowest beam, such as a pedestrian beside a bus; between two beams there is free space.
+    `unknown`: it says nothing of either."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -160,7 +161,8 @@ def plausible(
     return lies in the pyramid, or if at most 10 % of its returns are nearer than the box. It is true where the test
     does not apply (outside the area or field of view, or box centre above the sensor).   Deviations: we follow the code
     where the paper gives no rule (early exits, bottom centre as distance, margin, empty pyramid). The sensor takes the
-    place of the camera, and the field of view is the sensor's. `gaps = "unknown"` is ours.
+    place of the camera, and the field of view is the sensor's. `gaps = "below"` and
+    `"unknown"` are ours.
     """
     pairs = _moving_pairs(sweeps, o, boxes, b, velocity_mps)
     limits = area.range_m, area.height_m, edge_slope(sweeps.beams.fov_rad), sweeps.road_z_m()
@@ -172,7 +174,7 @@ def plausible(
         pairs.runs(),
         limits,
         params.margin_m,
-        (params.min_share, area.gaps == "unknown"),
+        (params.min_share, area.gaps != "free", area.gaps == "unknown"),
     )
 
 

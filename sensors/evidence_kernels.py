@@ -162,8 +162,9 @@ def free_space(range_steps, step_m, beams, pairs, run, area, margin_m, rule):
 
     `run` is `Pairs.runs`; its runs are divided among threads. `area` is the reach and the height of the evaluation
     area, the slope of its edges, and the height of the road in the frame of each sensor. `rule` is a share, and whether
-    gaps between rays permit a box. An object can stand there if more than this share of the returns in the pyramid
-    through its box are nearer than the box; if gaps permit it, also where no ray passes that pyramid.
+    places below the lowest beam and gaps between rays permit a box. An object can stand there if more than this share
+    of the returns in the pyramid through its box are nearer than the box; if such places permit it, also where its
+    middle is lower than the lowest beam; if gaps permit it, also where no ray passes that pyramid.
     """
     allowed = np.ones(len(pairs.o), np.bool_)
     given = range_steps, step_m, beams, pairs, run, area, margin_m, rule
@@ -191,7 +192,7 @@ def _free_space(allowed, begin, end, given):
 def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin_m, rule, room):
     """Write what `free_space` returns, for the pairs `first` to `end` of one sweep."""
     reach_m, height_m, slope, road_z = area
-    least_share, gaps_permit = rule
+    least_share, below_permits, gaps_permit = rule
     corner, plane = room
     beams, columns, slopes = view
     fov_rad = beams.fov_rad
@@ -206,6 +207,9 @@ def _free_space_of(allowed, sweep, step_m, view, pairs, first, end, area, margin
                 allowed[k] = _are_nearer(sweep, step_m, beams, window, plane, limit, least_share)
             else:
                 allowed[k] = False
+            if below_permits and not allowed[k]:
+                flat = np.sqrt(x * x + y * y)
+                allowed[k] = z < flat * slopes.tan_el[0]
             if gaps_permit and not allowed[k]:
                 allowed[k] = not _has_ray(beams, window, plane)
 

@@ -135,7 +135,7 @@ class Config:
     trees: TreeParams = field(default_factory=TreeParams)
     meshes: tuple[MeshParams, ...] = ()
     vehicle_meshes: tuple[VehicleMeshParams, ...] = ()
-    area: AreaParams = field(default_factory=AreaParams)
+    area: AreaParams = field(default_factory=partial(default_section, AreaParams, "area"))
     detector: DetectorParams = field(default_factory=partial(default_section, DetectorParams, "detector"))
     tracking: TrackingParams = field(default_factory=partial(default_section, TrackingParams, "tracking"))
     attacks: tuple[AttackParams, ...] = ()

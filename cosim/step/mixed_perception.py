@@ -146,8 +146,6 @@ class MixedPerception:
             counting, testing, mine = asked.of_group(number, sweeps.lidar, sweeps.row)
             images = sweeps.of_lidar[number]
             n_points[counting], plausible[testing] = perception.answers(images, mine)
-            if number:  # on a mast
-                plausible[testing] |= _below_the_beams(images, mine.testing, mine.boxes, mine.tested)
         return n_points, plausible
 
     def in_area(
@@ -168,19 +166,6 @@ class MixedPerception:
             row = sweeps.row[o[k]]
             inside[k] = evidence.in_evaluation_area(images, row, boxes, area, b[k], label, bodies)
         return inside
-
-
-def _below_the_beams(
-    images: RangeImages, o: Int[ndarray, "t"], boxes: Boxes, b: Int[ndarray, "t"]
-) -> Bool[ndarray, "t"]:
-    """Whether the middle of each box is lower than the lowest beam.
-
-    The free-space test takes a box without returns before it or in it for implausible. On a mast, the blind cone below
-    the beams is many metres wide, and nothing in it is tested.
-    """
-    away_m = boxes.xyz_m[b] - images.poses.origin_m[o]
-    x_m, y_m, z_m = away_m.T
-    return z_m < np.hypot(x_m, y_m) * images.beams.tan_el[0]
 
 
 def lidar_of(vehicles: LidarParams, sensor: ProfileName) -> LidarParams:

@@ -186,7 +186,7 @@ def test_windows_equal_whole_clouds(seed, params):
         for share in (0.0, 0.1, 0.5, 0.9):
             allowed = evidence_kernels.free_space(
                 sweeps.range_steps, sweeps.step_m, sweeps.beams, pairs, pairs.runs(),
-                (area.range_m, area.height_m, edge_slope(fov_rad), road_z), 0.25, (share, False),
+                (area.range_m, area.height_m, edge_slope(fov_rad), road_z), 0.25, (share, False, False),
             )  # fmt: skip
             assert (allowed == ~free | (closer > share * seen)).all()
         assert (plausible(sweeps, at, asked)[free] == (closer > 0.1 * seen)[free]).all()
@@ -212,6 +212,8 @@ def test_between_two_beams_a_sweep_says_nothing():
     at = np.column_stack([[40.0, 49.0, 5.0, 2.0], np.zeros(4), np.full(4, 0.875 - 1.73)])
     o, people, gaps = np.zeros(4, int), boxes_at(at, (0.5, 0.5, 1.75)), AreaParams(gaps="unknown")
     assert plausible(sweep, o, people, area=gaps).tolist() == [True, False, False, True]
+    below = AreaParams(gaps="below")
+    assert plausible(sweep, o, people, area=below).tolist() == [False, False, False, True]
     assert not plausible(sweep, o, people).any()  # as in the paper's code
 
     rng = np.random.default_rng(3)
@@ -223,8 +225,13 @@ def test_between_two_beams_a_sweep_says_nothing():
     up = grid.elevation_rad + 0 * across
     rays = np.stack([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)], axis=2).reshape(-1, 3)
     met, _ = whole_cloud.free_space_xyz(rays, planes, distance, 0.0)
-    found = plausible(sweep, np.zeros(len(asked), int), asked, area=gaps)
-    assert (found == (met == 0)).all() and 100 < found.sum() < len(asked) - 100
+    o = np.zeros(len(asked), int)
+    x, y, z = asked.xyz_m.T
+    is_below = z < np.hypot(x, y) * np.tan(grid.elevation_rad.min())
+    found = plausible(sweep, o, asked, area=gaps)
+    assert (found == is_below | (met == 0)).all() and 100 < found.sum() < len(asked) - 100
+    found = plausible(sweep, o, asked, area=below)
+    assert (found == is_below).all() and found.any()
 
 
 def test_observability_by_hand():

@@ -120,7 +120,7 @@ def test_what_is_below_the_beams_is_not_denied(observed):
     boxes = boxes_at([[0.0, -5.0, 1.75], [0.0, -35.0, 1.75]], (4.5, 1.8, 1.5))
     o, none = np.full(2, int(np.flatnonzero(world.is_roadside)[0])), np.zeros(0, int)
     _, plausible = perception.answers(
-        after.sweeps, BoxQuestions(boxes, np.zeros((2, 2)), AreaParams(), none, none, o, np.arange(2))
+        after.sweeps, BoxQuestions(boxes, np.zeros((2, 2)), AreaParams(gaps="below"), none, none, o, np.arange(2))
     )
     assert plausible.tolist() == [True, False]
 
