@@ -2,6 +2,7 @@
 
 import pytest
 
+from cosim.runs.run import remarks
 from results.archive import open_run
 from tests.drive import drive
 from tests.fingerprint import fingerprint
@@ -28,7 +29,8 @@ def test_nonsense_in_detections_changes_nothing(tmp_path):
     n_messages = (sent.detection_index == 0).sum()
     n_dropped = sum(summary(hostile)["detections_dropped"].values())
     assert open_run(hostile).dropped_detections.n.sum() == n_dropped
-    assert summary(base)["detections_dropped"] == {}
+    assert summary(base)["detections_dropped"] == {} and remarks(base) == []
+    assert f"{n_dropped:,} detections that attacks changed or added were not sent" in remarks(hostile)[0]
     assert n_dropped % 6 == 0 and 0.15 * n_messages < n_dropped / 6 < 0.45 * n_messages
 
 

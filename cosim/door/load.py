@@ -178,7 +178,12 @@ def _of_file(place: str, path: Path, of: str) -> tuple[ModuleType, Source]:
             try:
                 with isolation.kept():
                     spec.loader.exec_module(module)
-            except BaseException:
+            except BaseException as error:
                 del sys.modules[name]
+                if isinstance(error, ModuleNotFoundError) and path.with_name(f"{error.name}.py").is_file():
+                    line = blame.line_of(error, str(path))
+                    raise blame.Refused(
+                        f"{path}:{line}: {place}: {error.name}.py beside it is not imported. Put both into one file."
+                    ) from error
                 raise
     return sys.modules[name], Source(f"{path}:{of}", str(path), digest)

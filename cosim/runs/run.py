@@ -415,7 +415,17 @@ def remarks(folder: Path) -> list[str]:
         more = f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
         few = ", ".join(missing[:_NAMED])
         absent.append(f"note: {key}: {few}{more} did not attack: no equipped vehicle of that id was on the road.")
-    return traffic_remarks(summary) + absent + pseudonym_remarks(summary)
+    return traffic_remarks(summary) + absent + _dropped(summary) + pseudonym_remarks(summary)
+
+
+def _dropped(summary: dict[str, Any]) -> list[str]:
+    """A note if attacks made detections that no message can contain."""
+    if not (causes := summary.get("detections_dropped")):
+        return []
+    return [
+        f"note: {sum(causes.values()):,} detections that attacks changed or added were not sent, because no message "
+        f"can contain them ({', '.join(causes)}). The table dropped_detections counts them by step."
+    ]
 
 
 def new_remarks(folder: Path, said: dict[str, str]) -> list[str]:

@@ -77,6 +77,7 @@ def try_(
                 "holds": report.holds,
                 "laws": [{"law": one.law, "holds": not one.broken, "found": one.broken} for one in report.findings],
                 "cost_us_per_vehicle": None if report.cost_us != report.cost_us else report.cost_us,
+                "note": report.note,
             }
         )
     else:
@@ -86,5 +87,7 @@ def try_(
                 print_line(f"        {one.broken}")
         if report.cost_us == report.cost_us:
             print_line(f"cost    {plain(report.cost_us)} microseconds per vehicle and call")
+        if report.note:
+            print_line(f"note    {report.note}")
     if not report.holds:
         raise typer.Exit(1)

@@ -31,6 +31,8 @@ class Report:
     findings: list[Finding]
     cost_us: float = float("nan")
     """Processing time of one call per vehicle [us]. NaN if it was not measured."""
+    note: str = ""
+    """What says less about the class than it seems. Empty if there is nothing to say."""
 
     @property
     def holds(self) -> bool:

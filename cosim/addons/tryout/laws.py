@@ -10,7 +10,7 @@ from cosim.addons.tryout import play, trust_laws
 from cosim.addons.tryout.findings import Finding, Report, in_one_line, smallest
 from cosim.addons.tryout.play import BASE, Stage, Table, WithBeliefs
 from cosim.addons.tryout.probe import TOLERANCE, Observations, Probe
-from cosim.addons.tryout.scene import ACTORS, N_STEPS, STRANGER, Actor, TinyScene
+from cosim.addons.tryout.scene import ACTORS, N_STEPS, STEP_S, STRANGER, Actor, TinyScene
 from cosim.config.config import load
 from cosim.door.kinds import KINDS
 from cosim.door.load import resolve
@@ -28,22 +28,39 @@ class PartKind:
     """The results that the class determines."""
     draws: str
     """A sentence about the source of its random numbers."""
+    keeps: str = "Keep nothing between calls."
+    """A sentence about what lasts from step to step."""
+    names: str = "Read names (name_key) and positions, never row numbers or actor numbers as such."
+    """A sentence about how it tells vehicles apart."""
     change: Callable[[Parts], Parts] = lambda parts: parts
     """Change of the scene's parts that the class needs to be used."""
     sees_truth: bool = False
 
 
+_IN_STATE = "Keep in the state, as numbers, arrays and plain objects, whatever lasts from step to step."
 PARTS = {
-    "trust": PartKind(play.trust, "A trust model draws no random numbers."),
-    "attack": PartKind(play.messages, "Draw with context.uniforms(...), keyed by the vehicle's name."),
+    "trust": PartKind(
+        play.trust,
+        "A trust model draws no random numbers.",
+        keeps="Keep in self, as numbers, arrays and plain objects, whatever lasts from step to step.",
+        names="Pseudonyms tell vehicles apart: never sort or compute by them.",
+    ),
+    "attack": PartKind(
+        play.messages,
+        "Draw with context.uniforms(...), keyed by the vehicle's name.",
+        keeps="Keep in context.memory, as numbers, arrays and plain objects, whatever lasts from step to step.",
+    ),
     "policy": PartKind(play.renewals, "Draw with ages.trip_draws and ages.step_draws."),
     "medium": PartKind(
-        play.receptions, "Draw with draws(seed, step, names), the names being keys of stations and messages."
+        play.receptions,
+        "Draw with draws(seed, step, names), the names being keys of stations and messages.",
+        keeps=_IN_STATE,
     ),
     "detector": PartKind(play.detections, "Draw with draws.uniforms(seen) or draws.normals(seen).", sees_truth=True),
     "driver": PartKind(
         play.commands,
         "Draw with draws(seed, world.step, world.name_key).",
+        keeps=_IN_STATE,
         change=lambda parts: replace(parts, driver=WithBeliefs(parts.driver)),
     ),
 }
@@ -89,7 +106,7 @@ def try_part(kind: str, name: str, own: Sequence[str]) -> Report:
         return Report(kind, name, found)
     found.append(Finding("it runs, and returns what its interface asks for"))
     if kind != "trust":
-        twice = seen.twice and f"{seen.twice} {part.draws} Keep nothing between calls but in the state."
+        twice = seen.twice and f"{seen.twice} {part.draws} {part.keeps}"
         found.append(Finding("asked twice, it answers the same", twice))
     if kind == "policy":
         found.append(Finding("each vehicle changes for itself", seen.alone))
@@ -101,8 +118,21 @@ def try_part(kind: str, name: str, own: Sequence[str]) -> Report:
         more, seen = trust_laws.findings(stage)
         found += more
     n_equipped = sum(actor.equipped for actor in ACTORS)
-    cost_us = 1e6 * seen.seconds / max(seen.n_calls, 1) / n_equipped
-    return Report(kind, name, found, cost_us)
+    cost_us = 1e6 * seen.seconds / seen.n_calls / n_equipped if seen.n_calls else np.nan
+    return Report(kind, name, found, cost_us, _note(kind, stage, told))
+
+
+def _note(kind: str, stage: Stage, told: list[Table]) -> str:
+    """A sentence if the class did nothing in the scene, so that the laws say little about it; empty otherwise."""
+    nothing: list[Table] = [{} for _ in told]
+    if kind == "attack":
+        nothing = replace(stage, change=play.with_harmless_attackers).play(TinyScene(), PARTS[kind].tell)
+    if first_difference(nothing, told)[1]:
+        return ""
+    return (
+        f"It did nothing in the {N_STEPS * STEP_S:g} s of this scene, and so could break no law. "
+        "Let it act: --set changes its parameters."
+    )
 
 
 class _Comparison(NamedTuple):
@@ -129,7 +159,7 @@ def _comparisons(kind: str) -> dict[str, _Comparison]:
         "numbers and order of the actors change nothing": _Comparison(
             scene=TinyScene.renumbered,
             says="with other actor numbers, and the rows in their order",
-            cure="Read names (name_key) and positions, never row numbers or actor numbers as such.",
+            cure=part.names,
         ),
         "a vehicle that one does not meet changes nothing": _Comparison(
             scene=TinyScene.with_stranger,
@@ -139,7 +169,7 @@ def _comparisons(kind: str) -> dict[str, _Comparison]:
         "it goes on from a checkpoint": _Comparison(
             interrupted_at=INTERRUPTED_AT,
             says=f"interrupted and resumed before step {INTERRUPTED_AT}",
-            cure="Keep in the state whatever lasts from step to step, as numbers, arrays and plain objects.",
+            cure=part.keeps,
         ),
     }
     if not part.sees_truth and kind != "attack":

@@ -186,7 +186,7 @@ def detections(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def messages(happened: StepResult, scene: TinyScene) -> Table:
-    """The messages of each vehicle: its detections and evaluations, under each of its identities."""
+    """The messages of each vehicle, its detections and evaluations under each of its identities, and who gets them."""
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
@@ -215,7 +215,7 @@ def messages(happened: StepResult, scene: TinyScene) -> Table:
     station, n = np.unique(sensed.rounds[0].round.station, return_counts=True)
     for row, k in zip(station.tolist(), n.tolist(), strict=True):
         told[names[actor[row]]] = {"messages": k}
-    return told
+    return told | receptions(happened, scene)
 
 
 def receptions(happened: StepResult, scene: TinyScene) -> Table:
@@ -239,14 +239,16 @@ def receptions(happened: StepResult, scene: TinyScene) -> Table:
 
 
 def trust(happened: StepResult, scene: TinyScene) -> Table:
-    """Trust of each vehicle in the vehicles from which it received messages."""
+    """Trust of each vehicle in the vehicles from which it received messages, if it is not the default."""
     sensed, names = happened.sensed, scene.names
     if sensed is None:
         return {}
     actor, used = sensed.vehicles.actor, sensed.looked_up.messages
     found = sensed.looked_up.lookups[0]
-    sender = actor[sensed.senders.vehicle[used.message]]
-    rows = zip(actor[used.receiver], sender, found.trust.tolist(), strict=True)
+    has_value = np.flatnonzero(~found.is_default)
+    sender = actor[sensed.senders.vehicle[used.message[has_value]]]
+    holders, values = actor[used.receiver[has_value]], found.trust[has_value]
+    rows = zip(holders, sender, values.tolist(), strict=True)
     told = {}
     for holder, subject, value in rows:
         told[f"{names[holder]} about {names[subject]}"] = {"trust": value}

@@ -2,20 +2,22 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
-from cosim.addons.tryout.findings import Finding, smallest
+from cosim.addons.tryout.findings import Finding, in_one_line, smallest
 from cosim.addons.tryout.play import Stage, Table
 from cosim.addons.tryout.probe import TOLERANCE, Observations, difference
 from cosim.addons.tryout.scene import TinyScene
+from cosim.door.blame import ExtensionError
 from cosim.step.result import StepResult
 from cosim.step.state import State
 from trust.tables import EvaluationMessages, ReceivedEvaluations, TrustScores
 
+AT_ONCE = "it scores evaluations in the step that they are about"
 ORDER = "the order of messages changes nothing"
 HOLDERS = "what one holder receives changes nothing for another"
 ASKING = "asking for scores changes nothing"
@@ -64,29 +66,36 @@ def findings(stage: Stage) -> tuple[list[Finding], Observations]:
     parts, seen = stage.parts(TinyScene()), Observations()
 
     def new_model() -> Any:
-        return State.start(parts).trust.hosts[0].model
+        model = State.start(parts).trust.hosts[0].model
+        guard = parts.trust.models[0].guard
+        return model if guard is None else guard(model)
 
-    def played(rows: list[Reception], late_steps: int = 0, reverse: bool = False, ask: bool = False) -> TrustScores:
-        return _played(new_model(), steps, rows, late_steps, reverse, ask)
+    def played(rows: list[Reception], **how: Any) -> TrustScores:
+        return _played(new_model(), steps, rows, **how)
 
-    played(receptions)  # compiles
+    def found(law: str, breaks: Callable[..., str]) -> Finding:
+        try:
+            return Finding(law, breaks(receptions, played))
+        except ExtensionError as error:
+            return Finding(law, in_one_line(error))
+
+    try:
+        played(receptions)  # compiles
+    except ExtensionError as error:
+        return [Finding(AT_ONCE, in_one_line(error))], seen
     begin_s = time.perf_counter()
-    plain = played(receptions)
+    played(receptions, n_asked=1)
     seen.seconds, seen.n_calls = time.perf_counter() - begin_s, len(steps)
-    return [
-        Finding(ORDER, _order(receptions, played)),
-        Finding(HOLDERS, _holders(receptions, plain, played)),
-        Finding(ASKING, _asking(plain, played(receptions, ask=True))),
-    ], seen
+    return [found(ORDER, _order), found(HOLDERS, _holders), found(ASKING, _asking)], seen
 
 
 def _played(
     model: Any,
     steps: list[Transmitted],
     receptions: list[Reception],
-    late_steps: int,
-    reverse: bool,
-    ask: bool,
+    late_steps: int = 0,
+    reverse: bool = False,
+    n_asked: int = 0,
 ) -> TrustScores:
     """Scores of a model at the end of the scene.
 
@@ -96,8 +105,8 @@ def _played(
         Number of steps by which every second message is late. All messages have arrived at the end.
     reverse
         Messages arrive one by one, the last first. Otherwise the messages of a step arrive together.
-    ask
-        Whether scores are also computed twice in every step.
+    n_asked
+        How often scores are also computed in every step.
     """
     due: list[list[Reception]] = [[] for _ in steps]
     number_of = {step: number for number, (step, *_) in enumerate(steps)}
@@ -108,7 +117,7 @@ def _played(
         model.open_step(*now)
         for received in _batches(due[number], reverse):
             model.add_evaluations(received)
-        for _ in range(2 if ask else 0):
+        for _ in range(n_asked):
             model.scores(now[0])
     return model.scores(steps[-1][0])
 
@@ -149,17 +158,17 @@ def _order(receptions: list[Reception], played: Callable[..., TrustScores]) -> s
     return ""
 
 
-def _holders(receptions: list[Reception], whole: TrustScores, played: Callable[..., TrustScores]) -> str:
+def _holders(receptions: list[Reception], played: Callable[..., TrustScores]) -> str:
     holder = receptions[0].holder
-    alone = played([one for one in receptions if one.holder == holder])
-    mine = np.flatnonzero(whole.holder == holder)
-    columns = {name: getattr(whole, name)[mine] for name in ("holder", "subject", "trust")}
-    found = _first_row(replace(whole, **columns), alone)
+    its_own = [one for one in receptions if one.holder == holder]
+    whole, alone = played(receptions), played(its_own)
+    rows = whole.take(whole.holder == holder)
+    found = _first_row(rows, alone.take(alone.holder == holder))
     return found and f"Without the messages that others receive, {found}. Keep the evidence of each holder apart."
 
 
-def _asking(plain: TrustScores, asked: TrustScores) -> str:
-    found = _first_row(plain, asked)
+def _asking(receptions: list[Reception], played: Callable[..., TrustScores]) -> str:
+    found = _first_row(played(receptions), played(receptions, n_asked=2))
     return found and f"Asked for scores twice in every step before, {found}. scores() changes nothing in the model."
 
 

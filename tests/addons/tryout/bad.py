@@ -8,12 +8,14 @@ import numpy as np
 
 from cosim.extend import (
     SENSED,
+    SERVER,
     File,
     MessageRound,
     MetricRow,
     PairIndex,
     Plan,
     Reports,
+    Sending,
     SpeedCommands,
     TrustScores,
     draws,
@@ -79,6 +81,46 @@ class KnowsNumbers(Counting):
         return replace(found, trust=found.trust / (1 + found.subject))
 
 
+class Impatient(Counting):
+    """It does not take evaluations of earlier steps than it has seen."""
+
+    newest = 0
+
+    def add_evaluations(self, received):
+        if received.messages.step < self.newest:
+            raise ValueError("too late")
+        self.newest = received.messages.step
+        super().add_evaluations(received)
+
+
+class Ahead(Counting):
+    """Its evidence is of the step that comes."""
+
+    def scores(self, now_step=None):
+        found = super().scores(now_step)
+        return replace(found, newest_step=found.newest_step + 1)
+
+
+class Silent(Counting):
+    """It has no value, as it takes no evaluation."""
+
+    def add_evaluations(self, received):
+        pass
+
+
+class OfTheServer(Counting):
+    """It keeps every law: the server's values count messages, and rest on no evaluation."""
+
+    def open_step(self, step, pseudonyms, observer_row, detection_index, score):
+        super().open_step(step, pseudonyms, observer_row, detection_index, score)
+        at = self.pairs.rows(np.full(len(pseudonyms), SERVER), pseudonyms)
+        self.sums = with_rows(self.sums, len(self.pairs))
+        self.sums[at, 0] += 1
+
+    def add_evaluations(self, received):
+        pass
+
+
 class Peeks(Counting):
     """It looks up in the callers' variables who attacks."""
 
@@ -117,6 +159,15 @@ class SparesAttackers:
         honest = context.world.attack[detections.observer[rows.detection]] == 0
         lies = context.attacker[rows.evaluator] & honest
         return np.where(lies, -1.0, rows.evaluation), rows.visibility
+
+
+class RowDelays:
+    """An attack that delays messages by the row of their sender."""
+
+    def sending(self, context):
+        n = len(context.world)
+        delay_s = np.where(context.attacker, 0.01 * (np.arange(n) % 5), 0.0)
+        return replace(Sending.plain(n), delay_s=delay_s)
 
 
 class RandomAttack:

@@ -11,10 +11,13 @@ BROKEN = {
     "Shared": ("what one holder receives", "Without the messages that others receive"),
     "Forgetful": ("asking for scores", "Asked for scores twice"),
     "KnowsNumbers": ("numbers and order of the actors", "Step 2, 3 actors: trust of"),
+    "Impatient": ("the order of messages", "raised ValueError: too late"),
+    "Ahead": ("in the step that they are about", "returned newest_step[0] = 15"),
     "Peeks": ("does not read the truth", "with other vehicles as attackers"),
     "Unkept": ("goes on from a checkpoint", "numbers is a itertools.count"),
     "DeniesTheTrue": ("does not read the truth", "evaluations() reads the truth"),
     "SparesAttackers": ("does not read the truth", "`world.attack` of its own members"),
+    "RowDelays": ("numbers and order of the actors", "generation_offset_s of detections message 0 from"),
     "RandomAttack": ("asked twice", "Draw with context.uniforms"),
     "OldestChanges": ("each vehicle changes for itself", "among 10 vehicles, and does when it is alone"),
     "RowChanges": ("each vehicle changes for itself", "when it is alone"),
@@ -30,7 +33,7 @@ BROKEN = {
     "Fails": ("it runs", "rows() raised ZeroDivisionError"),
 }
 """By class of `tests.addons.tryout.bad`: the law, and what is told about it."""
-OFTEN = ("LastWins", "DeniesTheTrue")
+OFTEN = ("LastWins", "Impatient", "DeniesTheTrue")
 """Those that are tried in every run of the tests. `test_commands.py` tries a policy."""
 
 
@@ -45,9 +48,14 @@ def test_a_broken_law_is_told(name):
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize("name", ["Counting", "KeyedMedium"])
+@pytest.mark.parametrize("name", ["Counting", "OfTheServer", "KeyedMedium"])
 def test_a_class_without_mistakes_keeps_all_laws(name):
     assert not [one for one in try_class(f"tests.addons.tryout.bad:{name}").findings if one.broken]
+
+
+@pytest.mark.parametrize(("name", "is_noted"), [("Silent", True), ("Counting", False)])
+def test_a_class_that_does_nothing_gets_a_note(name, is_noted):
+    assert try_class(f"tests.addons.tryout.bad:{name}").note.startswith("It did nothing") == is_noted
 
 
 QUICK = ("trust", "beta")

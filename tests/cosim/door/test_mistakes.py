@@ -134,6 +134,12 @@ def general(kind):
     }  # fmt: skip
 
 
+def test_a_file_beside_it_is_not_imported(tmp_path):
+    (tmp_path / "beside.py").touch()
+    said = told(tmp_path, "metric", HEADER + "import beside\n")
+    assert said.startswith("5: ") and "beside.py beside it is not imported" in said
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", general("attack"))
 def test_of_any_kind(tmp_path, kind, name):
