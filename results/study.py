@@ -162,8 +162,9 @@ class StudyResults:
         asked = self.points.groupby(keys, sort=False, dropna=False).replicate.nunique().rename("asked")
         asked_of = found[keys].merge(asked.reset_index(), on=keys, how="left").asked
         notes = []
-        for n, of, few in zip(found.n, asked_of, study_notes.few(frame, by), strict=True):
-            notes.append("; ".join(filter(None, (study_notes.missing(n, of), few))))
+        said = study_notes.idle(frame, by), study_notes.few(frame, by)
+        for n, of, *more in zip(found.n, asked_of, *said, strict=True):
+            notes.append("; ".join(filter(None, (study_notes.missing(n, of), *more))))
         columns = [*self.keys, "metric", "group", "n", "mean", "low", "high", "unit", "label"]
         return found[columns].assign(note=notes)
 
@@ -394,7 +395,7 @@ def chosen(frame: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         if group:
             rows = rows & (frame.group == group)
         if not rows.any():
-            raise ValueError(f"The study measured no {name!r}. {_there(frame, metric)}")
+            raise ValueError(f"The study has no value of {name!r}. {_there(frame, metric)}")
         kept |= rows.to_numpy()
     return frame[kept]
 

@@ -10,6 +10,9 @@ MISSING = "replicates have a value"
 _OF_RUN = r"too few: (?P<n>\d+) of \d+ (?P<units>[^;]+)"
 """The warning of `results.measure` on a value of a run."""
 
+IDLE = "has not attacked"
+"""The note of `results.measure` on a role of a run of which no vehicle has attacked."""
+
 _OF_MEAN = r"few (?P<units>[^;:]+): (?P<least>\d+)(?: to (?P<most>\d+))?"
 """The warning of `few` on a mean."""
 
@@ -52,12 +55,23 @@ def few(measures: pd.DataFrame, by: Sequence[str]) -> list[str]:
     return list(texts.where(are_most, ""))
 
 
+def idle(measures: pd.DataFrame, by: Sequence[str]) -> list[str]:
+    """For each mean as in `few`, what is said if its vehicles have not attacked in some of the runs."""
+    if measures.empty:
+        return []
+    is_idle = measures.note.astype(str).str.startswith(IDLE)
+    of_means = measures.assign(idle=is_idle).groupby(list(by), sort=False, dropna=False).idle
+    counts = zip(of_means.sum(), of_means.size(), strict=True)
+    return [f"{IDLE} in {n:.0f} of {counted(of, 'run')}" if n else "" for n, of in counts]
+
+
 def _span(least: float, most: float) -> str:
     return f"{least:.0f} to {most:.0f}" if most > least else f"{least:.0f}"
 
 
 def lines(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
-    """The warnings on these means in short: a line for metrics with the same units and points.
+    """The warnings on these means in short: a line for metrics with the same units and points, and one for those of
+    vehicles that have not attacked.
 
     Parameters
     ----------
@@ -72,7 +86,13 @@ def lines(frame: pd.DataFrame, keys: Sequence[str]) -> list[str]:
         for units, rows in of_metric.groupby("units"):
             places = _places(rows, of_metric.drop(rows.index), keys)
             alike.setdefault((str(units), places), []).append(rows)
-    return [_line(*said, pd.concat(rows)) for said, rows in alike.items()]
+    lines = [_line(*said, pd.concat(rows)) for said, rows in alike.items()]
+    are_idle = frame.note.astype(str).str.contains(IDLE)
+    if are_idle.any():
+        names = ", ".join(filter(None, frame.metric[are_idle].unique()))
+        said = "in some runs vehicles have not attacked, and behave as honest ones"
+        lines.append(f"{said}: {names}" if names else said)
+    return lines
 
 
 def _line(units: str, places: str, rows: pd.DataFrame) -> str:

@@ -226,7 +226,7 @@ def measure(
         title = f"{study.name}: {_means(study)}"
         if name == "differences":
             against = ", ".join(f"{key} = {value}" for key, value in study.baseline.items())
-            title = f"{study.name}: difference to {against}, replicate by replicate, and 95 % interval"
+            title = f"{study.name}: difference to {against}, replicate by replicate; {_means(study)}"
         try:
             found = pivot(study, frame, there, over, held)
         except ValueError:

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -62,6 +63,19 @@ def test_means_of_few_subjects_are_said(study):
     assert [study_table.cell(row).endswith("n = 2") for row in study.summary.to_dict("records")] == [False, True]
     (line,) = study_table.cautions(study, study.summary, ["misbehaviour.auc"])
     assert line == "few vehicles (1 to 2 in a run), read as examples: misbehaviour.auc:malicious"
+
+
+def test_a_role_that_has_not_attacked_is_said(study):
+    """In two of the four runs no malicious vehicle has attacked."""
+    path = study.path / "jobs" / "all" / "measures.parquet"
+    found = pd.read_parquet(path)
+    is_auc = found.metric == "misbehaviour.auc"
+    found["note"] = np.where(is_auc & (is_auc.cumsum() <= 2), "has not attacked", "")
+    found.to_parquet(path)
+    assert study.summary.note[0] == "has not attacked in 2 of 4 runs"
+    (line,) = study_table.cautions(study, study.summary, ["misbehaviour.auc"])
+    said = "in some runs vehicles have not attacked, and behave as honest ones"
+    assert line == f"{said}: misbehaviour.auc:malicious"
 
 
 def test_labels_are_words_and_those_of_today(study):
