@@ -61,8 +61,10 @@ def idle(measures: pd.DataFrame, by: Sequence[str]) -> list[str]:
         return []
     is_idle = measures.note.astype(str).str.startswith(IDLE)
     of_means = measures.assign(idle=is_idle).groupby(list(by), sort=False, dropna=False).idle
-    counts = zip(of_means.sum(), of_means.size(), strict=True)
-    return [f"{IDLE} in {n:.0f} of {counted(of, 'run')}" if n else "" for n, of in counts]
+    texts = []
+    for n, of in zip(of_means.sum(), of_means.size(), strict=True):
+        texts.append(f"{IDLE} in {n:.0f} of {counted(of, 'run')}" if n else "")
+    return texts
 
 
 def _span(least: float, most: float) -> str:
