@@ -1,5 +1,6 @@
 """The folder of a run. It belongs to one run and is locked while the run is written."""
 
+import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -70,7 +71,7 @@ def check(out: Path | None) -> None:
         if out.is_dir() and (out / MANIFEST).exists():
             raise ValueError(
                 f"--out {out} already holds a run. Give a folder that is empty or does not exist; a run that was cut "
-                f"off goes on with: cosim resume {out}"
+                f"off goes on with: cosim resume {shlex.quote(str(out))}"
             )
         if out.is_dir() and any(not _is_leftover(item) for item in out.iterdir()):
             raise ValueError(f"--out {out} is not empty. Give a folder that is empty or does not exist.")

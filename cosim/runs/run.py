@@ -323,7 +323,8 @@ def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
 def _carry_out(drive: Drive, folder: RunFolder) -> None:
     """Carry out a run, and write its status into the manifest in every case."""
     manifest, recorder = drive.manifest, drive.recorder
-    again = f"cosim resume {shlex.quote(str(folder.path))}"
+    with_code = " --trust-code" if own_modules(drive.parts.config) else ""
+    again = f"cosim resume {shlex.quote(str(folder.path))}{with_code}"
     try:
         drive.run()
     except Stopped as error:
