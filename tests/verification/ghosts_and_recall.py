@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy import ndarray
+from scipy.stats import t
 
 from results.archive import open_run
 from tests.verification.rings import drive
@@ -36,6 +37,7 @@ attack = "{{attack}}"
 share_p = 0.2
 start_s = {START_S:g}
 """
+BY_IOU, EQUAL = "iou at 0.5", "gates, as many real"
 HIGHER = 0.75
 """A second threshold, about midway between the trust of liars and of honest vehicles."""
 
@@ -64,20 +66,24 @@ def row(out: Path, attack: str, number: int) -> dict[str, float | str]:
     equal = np.sort(real)[-n_real]
     return {
         "attack": attack,
-        "iou at 0.5": 100 * (by_iou >= 0.5).mean(),
+        BY_IOU: 100 * (by_iou >= 0.5).mean(),
         "real per sweep": n_real / n_sweeps,
         "gates at 0.5": 100 * (ghosts >= 0.5).mean(),
         "their real": (real >= 0.5).sum() / n_sweeps,
-        "gates, as many real": 100 * (ghosts >= equal).mean(),
+        EQUAL: 100 * (ghosts >= equal).mean(),
         f"gates at {HIGHER:g}": 100 * (ghosts >= HIGHER).mean(),
         f"real at {HIGHER:g}": (real >= HIGHER).sum() / n_sweeps,
     }
 
 
-def main(out: Path, n_seeds: int = 3) -> None:
-    """The runs and their table: means over drives."""
+def main(out: Path, n_seeds: int = 10) -> None:
+    """The runs and their table: means over drives, and the paired difference with its 95 % interval."""
     rows = pd.DataFrame([row(out, attack, number) for attack in ATTACKS for number in range(1, n_seeds + 1)])
-    sys.stdout.write(rows.groupby("attack", sort=False).mean().round(2).T.to_string() + "\n")
+    more = (rows[EQUAL] - rows[BY_IOU]).groupby(rows.attack, sort=False)
+    found = rows.groupby("attack", sort=False).mean()
+    found["gates more, as many real"] = more.mean()
+    found["+-"] = t.ppf(0.975, n_seeds - 1) * more.std() / np.sqrt(n_seeds)
+    sys.stdout.write(found.round(2).T.to_string() + "\n")
 
 
 if __name__ == "__main__":
