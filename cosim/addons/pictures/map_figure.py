@@ -40,32 +40,35 @@ def draw(runs: Sequence[Run], cell_m: float = 25.0, radius_m: float | None = Non
     lowest = min(lowest, top / 2)
     norm = LogNorm(lowest, top)
 
-    def _definition(run: Run) -> str:
-        chosen = encounters.definition(run, radius_m, pairs)
-        return f"{chosen['pairs']} pairs within {chosen['radius_m']:g} m"
-
     each = zip(panels, runs, style.names(runs), streets, rates, counts, strict=True)
     for axes, run, run_name, street, rate, (_, x, y) in each:
         axes.scatter(*street.T, s=1.2, color=style.PALE, linewidths=0, rasterized=True)
         shown = np.ma.masked_equal(rate, 0)
         mesh = axes.pcolormesh(x, y, shown.T, norm=norm, cmap="viridis_r", rasterized=True)
         title = run_name if len(runs) > 1 else "Where encounters begin"
-        style.map_panel(axes, f"{title}\n{_definition(run)}")
+        counted = encounters.definition(run, radius_m, pairs)
+        style.map_panel(axes, f"{title}\n{counted['pairs']} pairs within {counted['radius_m']:g} m")
     credits = {run.manifest.get("net", {}).get("attribution") for run in runs}
     if text := ", ".join(sorted(filter(None, credits))):
         style.credit(panels[-1], text)
     label = f"Encounters begun per hour in {cell_m:g} m cells"
     bar = figure.colorbar(mesh, ax=panels, label=label, location="bottom", shrink=0.8, aspect=30)
+    ticks = _ticks(lowest, top, is_long=len(runs) == 1)
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.ax.minorticks_off()
+    return figure
+
+
+def _ticks(lowest: float, top: float, is_long: bool) -> list[float]:
+    """Round rates between two rates, so few that their labels do not overlap on a long or a short bar."""
     digits: tuple[int, ...] = (1, 2, 5)
-    if top >= (200 if len(runs) == 1 else 20) * lowest:  # their labels would overlap; of several runs, the bar is short
+    if top >= (200 if is_long else 20) * lowest:
         digits = (1, 3) if top < 200 * lowest else (1,)
     ticks = []
     for exponent in range(-3, 7):
         round_rates = [digit * 10.0**exponent for digit in digits]
         ticks += [rate for rate in round_rates if lowest <= rate <= top]
-    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
-    bar.ax.minorticks_off()
-    return figure
+    return ticks
 
 
 def _begun(run: Run, radius_m: float | None, pairs: str | None) -> ndarray:
