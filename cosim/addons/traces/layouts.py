@@ -174,45 +174,79 @@ def rows_of_file(
     length_unit_m: float | None,
 ) -> FileRows:
     """The rows of one file."""
-    is_parquet = path.name.removesuffix(".gz").endswith(".parquet")
     layout = layout_of(path) if columns is None else ""
     if layout == "crawdad":
         return _crawdad(path)
     if layout == "pneuma":
         return _pneuma(path)
-    if is_parquet:
-        names = _parquet_names(path)
-    else:
-        header = delimited.header(path)
-        names = header.names
-        if names[: len(_PNEUMA)] == _PNEUMA:
-            raise TrafficError(
-                f"{path}: pNEUMA, with rows of any length, is read by itself. Leave out --id, --time, --lat and --lon."
-            )
-        delimited.check_header(path, header, ())
-    if columns is None:
-        if not layout:
-            raise TrafficError(
-                f"{path}: no layout that is known by its columns ({_said(path)}). Name the columns with --id, "
-                "--time and --x and --y in metres, or --lat and --lon in degrees."
-            )
-        columns = LAYOUTS[layout].spelled(names)
+    names = _names_of(path)
+    columns = _columns_of(path, names, layout, columns)
     columns = replace(
         columns,
         time_unit_s=time_unit_s or columns.time_unit_s,
         length_unit_m=length_unit_m or columns.length_unit_m,
     )
-    if not layout and columns.kind and columns.kind not in names:
-        raise TrafficError(f"{path}: no column {columns.kind}, which --class names. It has {', '.join(names[:20])}.")
-    columns = _with_optional(columns, names)
     _check_units(path, columns, time_unit_s, length_unit_m)
     table = _table(path, columns, names)
+    _check_site(path, columns, table)
     read_as = [f"layout {layout}"] if layout not in ("", "table", "degrees") else []
     try:
         unit_m, said = units.length_unit(columns.x, columns.y, columns.length_unit_m)
     except ValueError as error:
         raise TrafficError(f"{path}: {error}") from None
     read_as += [said] if said and not columns.is_degrees else []
+    xy = _positions(path, columns, table) * (1.0 if columns.is_degrees else unit_m)
+    if columns.y_down:
+        read_as.append("y of the image, which points down, is turned")
+    time_s, said = _times(path, columns, table, frame_hz)
+    read_as += [said] if said else []
+    actors = _actors(path, columns, table)
+    kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
+    if kinds is None and layout in ("highd", "ind"):
+        read_as.append("no tracksMeta file beside it says the classes: all are cars")
+    return FileRows(
+        actors=actors,
+        time_s=time_s,
+        xy=xy,
+        is_degrees=columns.is_degrees,
+        is_frame=columns.is_frame,
+        kinds=kinds,
+        lw_m=lw_m,
+        speed=units.speeds(path, table),
+        read_as=(*read_as, *_not_read(columns, names)),
+        is_front=columns.is_front,
+    )
+
+
+def _names_of(path: Path) -> list[str]:
+    """The names of a file's columns."""
+    if path.name.removesuffix(".gz").endswith(".parquet"):
+        return _parquet_names(path)
+    header = delimited.header(path)
+    if header.names[: len(_PNEUMA)] == _PNEUMA:
+        raise TrafficError(
+            f"{path}: pNEUMA, with rows of any length, is read by itself. Leave out --id, --time, --lat and --lon."
+        )
+    delimited.check_header(path, header, ())
+    return header.names
+
+
+def _columns_of(path: Path, names: Sequence[str], layout: str, named: PositionColumns | None) -> PositionColumns:
+    """The columns of a layout, or those that the user named, with the optional ones that the file has."""
+    if named is not None:
+        if named.kind and named.kind not in names:
+            raise TrafficError(f"{path}: no column {named.kind}, which --class names. It has {', '.join(names[:20])}.")
+        return _with_optional(named, names)
+    if not layout:
+        raise TrafficError(
+            f"{path}: no layout that is known by its columns ({_said(path)}). Name the columns with --id, "
+            "--time and --x and --y in metres, or --lat and --lon in degrees."
+        )
+    return _with_optional(LAYOUTS[layout].spelled(names), names)
+
+
+def _positions(path: Path, columns: PositionColumns, table: pa.Table) -> Float[ndarray, "n 2"]:
+    """Middles or fronts of the actors in the file's unit, y to the north."""
 
     def numbers(name: str) -> Float[ndarray, "n"]:
         return delimited.numbers(path, name, table.column(name))
@@ -222,53 +256,46 @@ def rows_of_file(
         length, width = columns.corner
         x = x + numbers(length) / 2
         y = y + numbers(width) / 2
-    if columns.y_down:
-        y = -y
-        read_as.append("y of the image, which points down, is turned")
-    xy = np.column_stack([x, y]) * (1.0 if columns.is_degrees else unit_m)
+    return np.column_stack([x, -y if columns.y_down else y])
+
+
+def _times(
+    path: Path, columns: PositionColumns, table: pa.Table, frame_hz: float | None
+) -> tuple[Float[ndarray, "n"], str]:
+    """Times [s], and what is said of their unit."""
     time = table.column(columns.time)
     if columns.is_frame:
-        time_s = numbers(columns.time) / (frame_hz or _frame_hz(path))
-    elif units.is_number(time):
-        raw = numbers(columns.time)
-        unit_s, said = units.time_unit(columns.time, raw, columns.time_unit_s)
-        read_as += [said] if said else []
-        time_s = raw * unit_s
-    else:
-        time_s = delimited.seconds(path, columns.time, time)
-    _check_site(path, columns, table)
+        frames = delimited.numbers(path, columns.time, time)
+        return frames / (frame_hz or _frame_hz(path)), ""
+    if not units.is_number(time):
+        return delimited.seconds(path, columns.time, time), ""
+    raw = delimited.numbers(path, columns.time, time)
+    unit_s, said = units.time_unit(columns.time, raw, columns.time_unit_s)
+    return raw * unit_s, said
+
+
+def _actors(path: Path, columns: PositionColumns, table: pa.Table) -> ndarray:
+    """The name of each row's actor."""
     actors = delimited.texts(path, columns.actor, table.column(columns.actor))
     if columns.repeat:
         again = delimited.texts(path, columns.repeat, table.column(columns.repeat))
         actors = pc.binary_join_element_wise(actors, again, ":")
-    actors = actors.to_numpy()
-    kinds, lw_m = _kinds_and_sizes(path, table, columns, actors, unit_m)
-    if kinds is None and layout in ("highd", "ind"):
-        read_as.append("no tracksMeta file beside it says the classes: all are cars")
+    return actors.to_numpy()
+
+
+def _not_read(columns: PositionColumns, names: Sequence[str]) -> Iterator[str]:
+    """What is said of columns that a user might expect to be read."""
     if not columns.kind and (unread := _named(names, _KIND_WORDS)):
-        read_as.append(f"{', '.join(unread)} not read: all are cars. A column of classes is named class")
-    speed = units.speeds(path, table)
+        yield f"{', '.join(unread)} not read: all are cars. A column of classes is named class"
     if turned := [name for name in names if name.lower().startswith(_DIRECTIONS)]:
-        read_as.append(f"{', '.join(turned)} not read: actors look where they go, and north before they move")
+        yield f"{', '.join(turned)} not read: actors look where they go, and north before they move"
     if not columns.is_degrees and (degrees := list(filter(units.degrees_by_name, names))):
-        read_as.append(f"{', '.join(degrees)} not read: {columns.x} and {columns.y} are the positions")
+        yield f"{', '.join(degrees)} not read: {columns.x} and {columns.y} are the positions"
     if flat := [name for name in names if name.lower().split("_")[0] in _HEIGHTS]:
-        read_as.append(f"{', '.join(flat)} not read: the road is flat")
+        yield f"{', '.join(flat)} not read: the road is flat"
     used = *columns.size, *(columns.corner or ())
     if sizes := [name for name in _named(names, _SIZES) if name not in used]:
-        read_as.append(f"{', '.join(sizes)} not read: such a size is that of the class")
-    return FileRows(
-        actors=actors,
-        time_s=time_s,
-        xy=xy,
-        is_degrees=columns.is_degrees,
-        is_frame=columns.is_frame,
-        kinds=kinds,
-        lw_m=lw_m,
-        speed=speed,
-        read_as=tuple(read_as),
-        is_front=columns.is_front,
-    )
+        yield f"{', '.join(sizes)} not read: such a size is that of the class"
 
 
 def _named(names: Sequence[str], words: Set[str]) -> list[str]:
