@@ -1,6 +1,6 @@
 """Positions of actors in a trace from elsewhere: the rows of all its files, joined and checked."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -145,21 +145,7 @@ def read(
             raise TrafficError(f"{path}: its times are no frame numbers, so --frame-hz has no effect. Leave it out.")
         good = _good(path, rows, repair)
         repaired["missing"] += int((~good).sum())
-        rows = rows.take(good)
-        values, code = np.unique(rows.actors.astype(str), return_inverse=True)
-        numbers = [names.setdefault(name, len(names)) for name in values.tolist()]
-        n = len(code)
-        kind_names = np.full(n, "") if rows.kinds is None else rows.kinds.astype(str)
-        parts.append(
-            _Readings(
-                actor=np.array(numbers, np.int64)[code],
-                time_s=rows.time_s,
-                xy=rows.xy,
-                speed=np.full(n, np.nan) if rows.speed is None else rows.speed,
-                kind=_numbered(kind_names, kind_codes),
-                lw_m=np.full((n, 2), np.nan) if rows.lw_m is None else rows.lw_m,
-            )
-        )
+        parts.append(_readings(rows.take(good), names, kind_codes))
     read = _Readings.concat(parts)
     if not len(read.actor):
         raise TrafficError(f"{paths[0]}: no position in it. Give a trace with at least one row.")
@@ -186,12 +172,7 @@ def read(
     if n_several:
         read_as[f"classes of {n_several} actors change: each has its most frequent one"] = None
     kinds = [list(kind_codes)[code] for code in kind.tolist()]
-    if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
-        few = [f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5]]
-        more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
-        read_as[f"classes guessed from their names: {', '.join(few)}{more}"] = None
-    if off_road := sorted({kind for kind in kinds if vtypes.guess(kind).vclass not in SHAPE_OF_CLASS}):
-        read_as[f"{', '.join(off_road)} as cars here; a run leaves them out, because they are not on the road"] = None
+    read_as |= dict.fromkeys(_guesses(kinds))
     begin = float(read.time_s.min())
     lw_m = pd.DataFrame(read.lw_m).groupby(read.actor).median().to_numpy()
     length_m, width_m = lw_m.T
@@ -211,6 +192,32 @@ def read(
         source=where,
         is_front=rows.is_front,
     )
+
+
+def _readings(rows: FileRows, names: dict[str, int], kind_codes: dict[str, int]) -> _Readings:
+    """The rows of a file with numbers for actors and classes; those without a number get the next ones."""
+    values, code = np.unique(rows.actors.astype(str), return_inverse=True)
+    numbers = [names.setdefault(name, len(names)) for name in values.tolist()]
+    n = len(code)
+    kind_names = np.full(n, "") if rows.kinds is None else rows.kinds.astype(str)
+    return _Readings(
+        actor=np.array(numbers, np.int64)[code],
+        time_s=rows.time_s,
+        xy=rows.xy,
+        speed=np.full(n, np.nan) if rows.speed is None else rows.speed,
+        kind=_numbered(kind_names, kind_codes),
+        lw_m=np.full((n, 2), np.nan) if rows.lw_m is None else rows.lw_m,
+    )
+
+
+def _guesses(kinds: Sequence[str]) -> Iterator[str]:
+    """What is said of classes whose names are not SUMO's, or that are not on the road."""
+    if guessed := sorted({kind for kind in kinds if kind and not vtypes.is_plain(kind)}):
+        few = [f"{kind} as {vtypes.guess(kind).vclass}" for kind in guessed[:5]]
+        more = f" and {len(guessed) - 5} more" if len(guessed) > 5 else ""
+        yield f"classes guessed from their names: {', '.join(few)}{more}"
+    if off_road := sorted({kind for kind in kinds if vtypes.guess(kind).vclass not in SHAPE_OF_CLASS}):
+        yield f"{', '.join(off_road)} as cars here; a run leaves them out, because they are not on the road"
 
 
 def _numbered(names: ndarray, codes: dict[str, int]) -> Int[ndarray, "n"]:
