@@ -44,6 +44,24 @@ def keys_of(study: StudyResults, what: str) -> list[str]:
     return _keys_of(study, frame) if len(frame) else []
 
 
+def _colour_and_panel(study: StudyResults, frame: pd.DataFrame, what: str, by: str | None) -> list[str]:
+    """At most two keys: the one whose values have a colour each, and the one whose values have a panel each."""
+    matter = _keys_of(study, frame)
+    study.check_swept(*filter(None, [by]))
+    if by is not None:
+        others = apart(frame, list(dict.fromkeys([by, *matter])))
+        matter = [by, *(key for key in others if key != by)]
+    if what == ENCOUNTERS and frame.group.nunique() > 1:
+        matter = [*matter[:1], "group", *matter[1:]]
+    if len(matter) > 2:
+        rest = " ".join(f"--where {key}=VALUE" for key in matter[2:])
+        raise ValueError(
+            f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others, such as {rest}, or see all of "
+            "them with `cosim report`."
+        )
+    return matter
+
+
 def _keys_of(study: StudyResults, frame: pd.DataFrame) -> list[str]:
     return for_axes(study.points, that_matter(samples(frame, study.keys), study.keys))
 
@@ -89,19 +107,7 @@ def draw(
     labels = {key: label_of(key, study.keys) for key in ("", "group", *study.keys)}
     at = [f"{labels[key]} = {said(first[key])}" for key in where]
     places = ", ".join([group, *at] if group else at)
-    matter = _keys_of(study, frame)
-    study.check_swept(*filter(None, [by]))
-    if by is not None:
-        others = apart(frame, list(dict.fromkeys([by, *matter])))
-        matter = [by, *(key for key in others if key != by)]
-    if what == ENCOUNTERS and frame.group.nunique() > 1:
-        matter = [*matter[:1], "group", *matter[1:]]
-    if len(matter) > 2:
-        rest = " ".join(f"--where {key}=VALUE" for key in matter[2:])
-        raise ValueError(
-            f"{what} depend on {', '.join(matter)}: this figure shows two. Hold others, such as {rest}, or see all of "
-            "them with `cosim report`."
-        )
+    matter = _colour_and_panel(study, frame, what, by)
     free = [key for key in apart(frame, study.keys) if key not in matter]
     frame = at_first(frame, free, matter)
     frame = with_short_names(frame, study.keys)
