@@ -118,14 +118,7 @@ class Drive:
                 break
             self.n_on_road += int(((world.shape != Shape.PEDESTRIAN) & ~world.is_roadside).sum())
             if number < first:
-                commands = self.commands.get(number, NO_COMMANDS)
-                if recomputes:
-                    state, result = step(world, state, self.parts)
-                    commands = result.commands.actor, result.commands.speed_mps
-                self.traffic.command(*commands)
-                if number == first - 1:
-                    self._check_repeated(world)
-                self.advance("repeat traffic", number + 1, first, "steps")
+                state = self._repeat(number, world, state, recomputes)
                 continue
             use_threads(_threads(self.parts, int(world.equipped.sum())))
             self._look_ahead(number, ahead)
@@ -133,19 +126,7 @@ class Drive:
             state, result = step(world, state, self.parts, precomputed)
             if result.sensed is not None or number + 1 >= min(_MOST_AT_ONCE, recorder.block_steps):
                 self.stop.at_once = False  # before this, a step may have compiled kernels for a minute
-            with self.parts.watch("record"):
-                self._wait_for_rows()
-            if recording_thread is not None and n_threads() > 1:
-                self._recording = recording_thread.submit(self._record, result, self._watch, n_threads())
-            else:
-                self._record(result, self.parts.watch, n_threads())
-            with self.parts.watch("record"):
-                commands = result.commands.actor, result.commands.speed_mps
-                if len(result.commands):
-                    self._of_block[number] = commands
-                if recorder.is_block_end(number) and number + 1 < config.n_steps:
-                    self._wait_for_rows()
-                    self._commit(state)
+            commands = self._keep(number, result, state, recording_thread)
             if self.on_step is not None:
                 with self.parts.watch("show"):
                     self.on_step(result, self.scenario, self.parts.city)
@@ -164,6 +145,38 @@ class Drive:
             self._end(state)
         if self.broken is not None:
             raise self.broken
+
+    def _repeat(self, number: int, world: World, state: State, recomputes: bool) -> State:
+        """Repeat the traffic of a step that is recorded, and compute its state again if that was not kept."""
+        commands = self.commands.get(number, NO_COMMANDS)
+        if recomputes:
+            state, result = step(world, state, self.parts)
+            commands = result.commands.actor, result.commands.speed_mps
+        self.traffic.command(*commands)
+        n_recorded = self.recorder.inventory.end_step
+        if number == n_recorded - 1:
+            self._check_repeated(world)
+        self.advance("repeat traffic", number + 1, n_recorded, "steps")
+        return state
+
+    def _keep(
+        self, number: int, result: StepResult, state: State, recording_thread: ThreadPoolExecutor | None
+    ) -> Commands:
+        """Record a step, in the thread that is given, and commit a block that is complete; the drivers' commands."""
+        with self.parts.watch("record"):
+            self._wait_for_rows()
+        if recording_thread is not None and n_threads() > 1:
+            self._recording = recording_thread.submit(self._record, result, self._watch, n_threads())
+        else:
+            self._record(result, self.parts.watch, n_threads())
+        commands = result.commands.actor, result.commands.speed_mps
+        if len(result.commands):
+            self._of_block[number] = commands
+        if self.recorder.is_block_end(number) and number + 1 < self.parts.config.n_steps:
+            with self.parts.watch("record"):
+                self._wait_for_rows()
+                self._commit(state)
+        return commands
 
     def _record(self, result: StepResult, watch: Stopwatch, n: int) -> None:
         """Fuse, and append the rows of a step. Both depend on its result only, so the next step may go on meanwhile."""
