@@ -1,9 +1,10 @@
 """Ghosts that receivers believe, where both rules of matching believe as many real objects.
 
 `python -m tests.verification.ghosts_and_recall OUT [SEEDS]`. A rule by which vehicles believe more of everything
-believes more ghosts, too. So ghosts are counted where gates and overlap believe as many real objects that the own
-sensor misses. A pair of a ghost and an honest receiver counts once per step, and so does a real object of an honest
-vehicle. What is there of an earlier call is not driven again.
+believes more ghosts, too. So ghosts are counted where gates and overlap believe as many real objects of their class
+that the own sensor misses. (The score of a fused object also says how well its box fits, which small objects lack.) A
+pair of a ghost and an honest receiver counts once per step, and so does a real object of an honest vehicle. What is
+there of an earlier call is not driven again.
 """
 
 import sys
@@ -11,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy import ndarray
 from scipy.stats import t
 
 from results.archive import open_run
@@ -42,8 +42,8 @@ HIGHER = 0.75
 """A second threshold, about midway between the trust of liars and of honest vehicles."""
 
 
-def scores(out: Path, attack: str, rule: str, number: int) -> tuple[ndarray, ndarray, int]:
-    """Scores of ghosts at honest receivers (-1: dropped), of real objects by others alone, and the number of sweeps."""
+def scores(out: Path, attack: str, rule: str, number: int) -> tuple[pd.DataFrame, pd.DataFrame, int]:
+    """Class and score of ghosts at honest receivers (-1: dropped), of real objects by others alone, and all sweeps."""
     folder = out / f"{attack}-{rule}-{number}"
     if not folder.exists():
         out.mkdir(parents=True, exist_ok=True)
@@ -53,26 +53,37 @@ def scores(out: Path, attack: str, rule: str, number: int) -> tuple[ndarray, nda
     run = open_run(folder)
     honest = run.vehicles.vehicle[run.vehicles.role == "honest"]
     lies = run.attack_outcomes[run.attack_outcomes.receiver.isin(honest)]
+    said = run.detections.rename(columns={"step": "detection_step"}).drop(columns="score")
+    ghosts = lies.merge(said, on=["detection_step", "observer", "detection_index"])
     fused = run.fused[run.fused.observer.isin(honest) & (run.fused.step * run.dt_s >= START_S)]
     others = fused[~fused.ego_detected & fused.truth_actor.notna() & (fused.truth_actor != fused.observer)]
-    real = others.groupby(["step", "observer", "truth_actor"]).score.max()
-    return lies.score.fillna(-1.0).to_numpy(), real.to_numpy(), len(fused[["step", "observer"]].drop_duplicates())
+    real = others.sort_values("score").drop_duplicates(["step", "observer", "truth_actor"], keep="last")
+    n_sweeps = len(fused[["step", "observer"]].drop_duplicates())
+    return ghosts[["class", "score"]].fillna({"score": -1.0}), real[["class", "score"]], n_sweeps
+
+
+def believed(ghosts: pd.DataFrame, real: pd.DataFrame, real_by_iou: pd.DataFrame) -> float:
+    """Share of ghosts that are believed where as many real objects of their class are as by overlap at 0.5."""
+    n = 0
+    for kind, scores_of in ghosts.groupby("class", observed=True).score:
+        n_real = int((real_by_iou.score[real_by_iou["class"] == kind] >= 0.5).sum())
+        least = real.score[real["class"] == kind].nlargest(n_real).min()
+        n += int((scores_of >= least).sum())
+    return n / len(ghosts)
 
 
 def row(out: Path, attack: str, number: int) -> dict[str, float | str]:
     """One drive: shares of ghosts that are believed [%], and real objects per sweep."""
     (ghosts, real, n_sweeps), (by_iou, real_by_iou, _) = (scores(out, attack, rule, number) for rule in RULES)
-    n_real = int((real_by_iou >= 0.5).sum())
-    equal = np.sort(real)[-n_real]
     return {
         "attack": attack,
-        BY_IOU: 100 * (by_iou >= 0.5).mean(),
-        "real per sweep": n_real / n_sweeps,
-        "gates at 0.5": 100 * (ghosts >= 0.5).mean(),
-        "their real": (real >= 0.5).sum() / n_sweeps,
-        EQUAL: 100 * (ghosts >= equal).mean(),
-        f"gates at {HIGHER:g}": 100 * (ghosts >= HIGHER).mean(),
-        f"real at {HIGHER:g}": (real >= HIGHER).sum() / n_sweeps,
+        BY_IOU: 100 * (by_iou.score >= 0.5).mean(),
+        "real per sweep": (real_by_iou.score >= 0.5).sum() / n_sweeps,
+        "gates at 0.5": 100 * (ghosts.score >= 0.5).mean(),
+        "their real": (real.score >= 0.5).sum() / n_sweeps,
+        EQUAL: 100 * believed(ghosts, real, real_by_iou),
+        f"gates at {HIGHER:g}": 100 * (ghosts.score >= HIGHER).mean(),
+        f"real at {HIGHER:g}": (real.score >= HIGHER).sum() / n_sweeps,
     }
 
 
