@@ -8,7 +8,7 @@ from results.recorder import Recorder
 from results.tables import TABLES
 
 
-def make(folder, steps, config=None, **tables):
+def make(folder, steps, config=None, dt_s=1.0, **tables):
     """A run: make(folder, steps, table=[{column: value}]); what is left out is 0, False, the first label or null.
 
     Without a table of pseudonyms, every equipped vehicle has its own number.
@@ -31,7 +31,7 @@ def make(folder, steps, config=None, **tables):
                     record.append(name, step, columns(name, now))
         for name in {"actors"} | {name for name, rows in tables.items() if not rows}:
             record.append(name, steps - 1, columns(name, []))  # the run ends with its last step, rows or not
-    finish(folder, {"dt_s": 1.0, "steps": steps, "config": config or {}})
+    finish(folder, {"dt_s": dt_s, "steps": steps, "config": config or {}})
     return open_run(folder)
 
 

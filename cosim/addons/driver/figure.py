@@ -21,15 +21,17 @@ _COUNTS = {
     "pet.per_km": "post-encroach-\nment < 2 s",
     "stops.per_km": "stops",
 }
+_PARTS = 20
+"""Parts of a run that are drawn over time."""
 
 
 @style.styled
 def draw(runs: Sequence[Run]) -> Figure:
     """Safety events per vehicle-kilometre, hard braking over time, and what drivers reacted to.
 
-    Time is drawn in twenty parts of the run. Reactions are speeds commanded because of fused objects that the own
-    detector does not report; those to ghosts and to false positives are false alarms. Without a driver that reacts
-    there are none.
+    Time is drawn in twenty parts of the run, of at least one step. Reactions are speeds commanded because of fused
+    objects that the own detector does not report; those to ghosts and to false positives are false alarms. Without a
+    driver that reacts there are none.
     """
     runs = style.arranged(runs)
     inks = style.inks(runs)
@@ -62,14 +64,15 @@ def draw(runs: Sequence[Run]) -> Figure:
 
 
 def _over_time(axes: Axes, run: Run, look: dict[str, Any]) -> None:
-    """Hard braking per kilometre in twenty parts of the run."""
+    """Hard braking per kilometre in parts of the run; none where nobody drives."""
     poses = tracks(run)
-    edges = np.linspace(0, run.manifest["steps"], 21)
+    n_steps = run.manifest["steps"]
+    edges = np.linspace(0, n_steps, min(_PARTS, n_steps) + 1)
     driven_km = poses.speed_mps * run.dt_s / 1000
     way_km, _ = np.histogram(poses.step, edges, weights=driven_km)
     events = safety.braking(run, poses)
     n, _ = np.histogram(events.step[events.severity == "hard"], edges)
-    rate = np.divide(n, way_km, out=np.zeros(len(n)), where=way_km > 0)
+    rate = np.divide(n, way_km, out=np.full(len(n), np.nan), where=way_km > 0)
     axes.plot(edges[1:] * run.dt_s, rate, **look)
 
 

@@ -36,11 +36,11 @@ def draw(runs: Sequence[Run], cell_m: float = 50.0, fresh_s: float = FRESH_S) ->
         along, label = x, "East [m]"
         if np.ptp(y) >= np.ptp(x):
             along, label = y, "North [m]"
-        time_s = found.step.to_numpy() * run.dt_s
-        last_s = time_s.max()
-        n_bins = min(_BINS, int(last_s / run.dt_s) + 1)
-        ticks = np.linspace(0, max(last_s, run.dt_s) + run.dt_s, n_bins + 1)
-        _heat(over_time, time_s, along, ticks, _edges(along, cell_m), n, n_stale)
+        step = found.step.to_numpy()
+        n_steps = int(step.max()) + 1
+        ticks = np.linspace(0, n_steps * run.dt_s, min(_BINS, n_steps) + 1)
+        middle_s = (step + 0.5) * run.dt_s  # of the step, which no tick between steps is near
+        _heat(over_time, middle_s, along, ticks, _edges(along, cell_m), n, n_stale)
         style.panel(over_time, f"{prefix} over time", style.TIME, label)
         over_time.grid(visible=False)
     label = f"Share of lookups without an evaluation of the last {fresh_s:g} s"
@@ -69,4 +69,6 @@ def _heat(  # type: ignore[no-untyped-def]
     total, *_ = np.histogram2d(x, y, edges, weights=n)
     old, *_ = np.histogram2d(x, y, edges, weights=n_stale)
     share = np.ma.masked_where(total < _LEAST, old / np.maximum(total, 1))
+    if (total < _LEAST).all():
+        axes.text(0.5, 0.5, "too few lookups", transform=axes.transAxes, ha="center", color="#666666")
     return axes.pcolormesh(*edges, share.T, cmap="cividis", vmin=0, vmax=1, rasterized=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.addons.driver import conflicts, safety
+from cosim.addons.driver import conflicts, figure, safety
 from results.archive import open_run
 from results.measure import measure
 from results.metrics import traffic
@@ -258,6 +258,15 @@ def test_topic_and_figure(crossing):
     assert measured["safety.collisions.n"] == 0 and measured["safety.driven_km"] > 1
     figure = run.measure.safety.plot()
     assert len(figure.axes) == 2 and figure.axes[0].get_xlim()[0] == 0  # nobody reacts to what it believes
+
+
+def test_hard_braking_is_drawn_for_each_of_few_steps(tmp_path):
+    """Twenty parts of three steps: in most of them nobody drove, and the figure showed no braking there."""
+    drives = [{"step": step, "actor": 0, "x_m": 10.0 * step, "speed_mps": 10.0} for step in range(2)]
+    run = make(tmp_path, 3, vehicles=fleet("honest", n_steps=2), actors=drives)
+    (line,) = figure.draw([run]).axes[1].lines
+    assert line.get_xdata().tolist() == [1, 2, 3]
+    assert np.isnan(line.get_ydata()).tolist() == [False, False, True]
 
 
 def test_what_stands_there_by_the_config_is_no_traffic(tmp_path):
