@@ -72,7 +72,7 @@ def _over_time(axes: Axes, run: Run, look: dict[str, Any]) -> None:
     way_km, _ = np.histogram(poses.step, edges, weights=driven_km)
     events = safety.braking(run, poses)
     n, _ = np.histogram(events.step[events.severity == "hard"], edges)
-    rate = np.divide(n, way_km, out=np.full(len(n), np.nan), where=way_km > 0)
+    rate = n / np.where(way_km > 0, way_km, np.nan)
     axes.plot(edges[1:] * run.dt_s, rate, **look)
 
 
