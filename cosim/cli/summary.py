@@ -70,7 +70,7 @@ def _rows_by_metric(run: Run) -> Get:
 def _plot(get: Get, given: str) -> str:
     """A command that draws a figure of this run; empty if the run has nothing to draw."""
     for picture, metric in (("radio", "radio.pdr.all"), ("encounters", "encounters.n")):
-        if get(metric):
+        if any(_values(get(metric)).values()):
             return f"   cosim plot {picture} {given}"
     return ""
 
@@ -99,14 +99,18 @@ def _whole(get: Get, metric: str) -> float | None:
 
 def _traffic(get: Get, city: str) -> list[str]:
     actors, roles = _values(get("traffic.actors.mean")), _values(get("traffic.equipped.n"))
-    n_actors = plain(round(actors.get("all", 0.0)))
+    n_actors = _counted(round(actors.get("all", 0.0)), "actor")
     lasts_s = get("traffic.duration_s")[""]["value"]
-    line = f"{n_actors} actors on the road of {city} for {plain(lasts_s)} s"
+    line = f"{n_actors} on the road of {city} for {plain(lasts_s)} s"
     n_equipped = sum(roles.values())
     if not n_equipped:
         return [f"{line}; no vehicle with LiDAR and radio"]
     by_role = [f"{plain(n)} {role}" for role, n in roles.items()]
-    return [f"{line}; {plain(n_equipped)} vehicles with LiDAR and radio ({', '.join(by_role)})"]
+    return [f"{line}; {_counted(n_equipped, 'vehicle')} with LiDAR and radio ({', '.join(by_role)})"]
+
+
+def _counted(n: float, noun: str) -> str:
+    return f"{plain(n)} {noun}" if n == 1 else f"{plain(n)} {noun}s"
 
 
 def _encounters(get: Get) -> list[str]:
@@ -167,7 +171,7 @@ def _freshness(get: Get) -> list[str]:
         return ["no vehicle looked up a trust value"]
     parts = []
     if (mean := get("freshness.newest_evaluation_age.mean_s").get("all")) is not None:
-        said = f"{mean['value']:.1f} s old is the newest evaluation behind a trust value that is used"
+        said = f"{mean['value']:.1f} s old on average is the newest evaluation behind a trust value that is used"
         if (p90 := get("freshness.newest_evaluation_age.p90_s").get("all")) is not None:
             said += f", and one in ten is older than {p90['value']:.1f} s"
         parts.append(said)

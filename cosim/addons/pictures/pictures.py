@@ -107,7 +107,7 @@ def sweep(runs: Sequence[Run], vehicles: Sequence[int], step: int | None, out: P
             f"nor a point cloud ({', '.join(clouds.FORMATS)}). Give one of these endings."
         )
     boxes = {
-        "actors": _from_above(scan_of_step.actors),
+        "true boxes": _from_above(scan_of_step.actors),
         "reported by the detector": _from_above(scan_of_step.reported),
     }
     when = f"{step * run.dt_s:g} s"

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from cosim.cli.side_by_side import print_measures, remarks
-from cosim.cli.summary import _summary, print_run_summary
+from cosim.cli.summary import _plot, _summary, print_run_summary
 from cosim.config.config import load
 from cosim.runs.run import run
 from results.archive import open_run
@@ -64,8 +64,8 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
             "be chance); 93% of the time than a malicious one (88% to 96%), when trust is looked up"
         ],
         "freshness": [
-            "4.0 s old is the newest evaluation behind a trust value that is used, and one in ten is older than 5.8 s; "
-            "95% of lookups find a value that rests on evaluations that still count"
+            "4.0 s old on average is the newest evaluation behind a trust value that is used, and one in ten is older "
+            "than 5.8 s; 95% of lookups find a value that rests on evaluations that still count"
         ],
         "radio": [
             "60% of frames received by vehicles in range; 3.3% of the time the channel is busy; 1.3 s between messages "
@@ -96,6 +96,11 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
         ({"radio.pdr.all": {}}, "radio", "nothing was sent"),
         ({"encounters.n": {}}, "encounters", "none: the config defines no"),
         ({"traffic.equipped.n": {"honest": (0.0,)}}, "traffic", "no vehicle with LiDAR and radio"),
+        (
+            {"traffic.actors.mean": {"all": (1.0,)}, "traffic.equipped.n": {"honest": (1.0,)}},
+            "traffic",
+            "1 actor on the road of helsinki for 300 s; 1 vehicle with LiDAR",
+        ),
         ({"radio.lost.expired": {"": (0.2,)}}, "radio", "20% expired before they could be sent"),
         ({"radio.clouds_complete.share": {"": (0.02,)}}, "radio", "2% of point clouds arrive whole"),
     ],
@@ -103,6 +108,11 @@ def test_every_topic_is_a_line_that_begins_with_a_number():
 def test_what_is_missing_is_said(changes, topic, says):
     (line,) = _summary(rows_of(METRICS | changes), "helsinki", has_sensing=True)[topic][:1]
     assert says in line
+
+
+@pytest.mark.parametrize(("n", "said"), [(0.0, ""), (3.0, "   cosim plot encounters RUN")])
+def test_no_picture_without_encounters_is_suggested(n, said):
+    assert _plot(rows_of({"encounters.n": {"equipped, 100 m": (n,)}}), "RUN") == said
 
 
 def test_without_sensing_no_other_cause_is_named(tmp_path, capsys):
