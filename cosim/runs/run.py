@@ -320,6 +320,9 @@ def _last_poses(path: Path, found: Inventory) -> dict[str, np.ndarray] | None:
     return {name: table.column(name).to_numpy() for name in columns}
 
 
+_RUN_AGAIN = "The steps before it are kept. Correct the class, and run again: no run goes on with changed code."
+
+
 def _carry_out(drive: Drive, folder: RunFolder) -> None:
     """Carry out a run, and write its status into the manifest in every case."""
     manifest, recorder = drive.manifest, drive.recorder
@@ -346,7 +349,7 @@ def _carry_out(drive: Drive, folder: RunFolder) -> None:
         raise TrafficError(f"{error} The steps before it are kept: {again}.") from error.__cause__
     except ExtensionError as error:
         kept = _fail(drive, folder, str(error))
-        then = f" The steps before it are kept: {again}." if kept else " Nothing is kept."
+        then = f" {_RUN_AGAIN}" if kept else " Nothing is kept."
         raise ExtensionError(str(error) + then) from error.__cause__
     except OSError as error:
         message = f"{folder.path}: {error.strerror or error}, at step {manifest.steps}"

@@ -38,18 +38,20 @@ _COLUMNS = (
 
 
 def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
-    """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart.
+    """A name for the definition of each row: pairs and radius, pedestrians if they count, and what else is needed to
+    tell definitions apart.
 
     They are told apart from those of the rows `among`: of a run, all `definitions`, so that one has the same name
     whichever others have encounters. Left out, from those of the frame.
     """
     keys = _kinds(frame)
     kinds = list(dict.fromkeys(keys if among is None else _kinds(among)))
-    text = [f"{pairs}, {radius_m:g} m" for pairs, radius_m, *_ in kinds]
+    text = []
+    for pairs, radius_m, *_, on_foot in kinds:
+        text.append(f"{pairs}, {radius_m:g} m{', pedestrians' if on_foot else ''}")
     more = {
         "hysteresis_s": lambda s: f", {s:g} s",
         "los": lambda los: f", {los.replace('_', ' ')}",
-        "pedestrians": lambda some: ", pedestrians" if some else "",
     }
     for column, words in more.items():
         values = [kind[DEFINITION.index(column)] for kind in kinds]

@@ -21,6 +21,13 @@ def encounter(a, b, start, end, **more):
     return {"a": a, "b": b, "start_step": start, "end_step": end, "duration_s": end - start, "radius_m": 50} | more
 
 
+def test_a_definition_that_counts_pedestrians_says_so():
+    """Beside "all, 30 m" of vehicles alone, "all, 50 m" was not the same with a larger radius."""
+    kinds = [("all", 30.0, 3.0, "buildings", False), ("all", 50.0, 3.0, "buildings", True)]
+    frame = pd.DataFrame(kinds, columns=[*encounters.DEFINITION])
+    assert encounters.named(frame).tolist() == ["all, 30 m", "all, 50 m, pedestrians"]
+
+
 def test_kaplan_meier_by_hand(tiny):
     """Durations 1, 2, 2+, 3, 4+ (+: end not seen, so longer than 1 and 3), and one whose start was not seen.
 

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from cosim.config.config import load
+from cosim.door.blame import ExtensionError
 from cosim.runs.check import check
 from cosim.runs.inputs import provenance
 from cosim.runs.manifest import Manifest
@@ -195,3 +196,30 @@ def test_steps_before_a_sumo_that_breaks_down_are_kept(tmp_path):
     assert read_manifest(out)["status"] == "failed" and verify(out)[1] == []
     whole = run(config, tmp_path / "whole", lambda *_: None)
     assert fingerprint(resume(out, lambda *_: None)) == fingerprint(whole)
+
+
+FAILS = """
+from cosim.extend import TrustScores
+import numpy as np
+
+class Fails:
+    def open_step(self, step, pseudonyms, observer_row, detection_index, score):
+        if step >= 10:
+            raise ValueError("ten")
+    def add_evaluations(self, received):
+        pass
+    def scores(self, now_step=None):
+        none = np.zeros(0, int)
+        return TrustScores.of(now_step, none, none, np.zeros(0), newest_step=none)
+"""
+
+
+def test_a_class_that_fails_is_to_be_corrected(tmp_path):
+    """`cosim resume` was named, which fails again, or refuses the corrected class."""
+    (tmp_path / "mine.py").write_text(FAILS)
+    scenario = mixed_scenario.write(tmp_path / "net")
+    keys = [f"traffic.scenario={scenario}", "traffic.warmup_s=0", "traffic.duration_s=16", "fleet.penetration_p=1"]
+    config = load(None, [*keys, "record.block_steps=6", f"trust.model={tmp_path / 'mine.py'}:Fails"])
+    with pytest.raises(ExtensionError, match=r"ValueError: ten\. .* are kept\. Correct the class, and run again: "):
+        run(config, tmp_path / "run", lambda *_: None)
+    assert read_manifest(tmp_path / "run")["status"] == "failed"
