@@ -64,7 +64,7 @@ def test_a_class_that_fails_in_a_run(tmp_path):
     done = cosim("run", *words, "--out", "run", cwd=tmp_path)
     told = f"error: {tmp_path}/bad.py:5: pseudonym policy Bad: changes() raised SystemExit: 0, which ends the program."
     assert done.returncode == 1 and done.stderr.count("\n") == 1 and done.stderr.startswith(told)
-    assert done.stderr.endswith("cosim resume run --trust-code.\n")
+    assert done.stderr.endswith("run again: no run goes on with changed code.\n")
     manifest = manifest_of(tmp_path / "run")
     assert manifest["status"] == "failed" and manifest["steps"] == 2
 
