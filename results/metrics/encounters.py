@@ -38,8 +38,8 @@ _COLUMNS = (
 
 
 def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
-    """A name for the definition of each row: pairs and radius, pedestrians if they count, and what else is needed to
-    tell definitions apart.
+    """A name for the definition of each row: pairs and radius, and what else is needed to tell definitions apart.
+    Pedestrians are named where they count by some definitions and not by others.
 
     They are told apart from those of the rows `among`: of a run, all `definitions`, so that one has the same name
     whichever others have encounters. Left out, from those of the frame.
@@ -47,13 +47,15 @@ def named(frame: pd.DataFrame, among: pd.DataFrame | None = None) -> pd.Series:
     keys = _kinds(frame)
     kinds = list(dict.fromkeys(keys if among is None else _kinds(among)))
     text = []
+    are_mixed = len({kind[-1] for kind in kinds}) > 1
     for pairs, radius_m, *_, on_foot in kinds:
-        text.append(f"{pairs}, {radius_m:g} m{', pedestrians' if on_foot else ''}")
-    more = {
+        more = ", pedestrians" if on_foot and are_mixed else ""
+        text.append(f"{pairs}, {radius_m:g} m{more}")
+    further = {
         "hysteresis_s": lambda s: f", {s:g} s",
         "los": lambda los: f", {los.replace('_', ' ')}",
     }
-    for column, words in more.items():
+    for column, words in further.items():
         values = [kind[DEFINITION.index(column)] for kind in kinds]
         if len(set(values)) > 1:
             n = Counter(text)

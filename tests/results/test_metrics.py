@@ -26,6 +26,7 @@ def test_a_definition_that_counts_pedestrians_says_so():
     kinds = [("all", 30.0, 3.0, "buildings", False), ("all", 50.0, 3.0, "buildings", True)]
     frame = pd.DataFrame(kinds, columns=[*encounters.DEFINITION])
     assert encounters.named(frame).tolist() == ["all, 30 m", "all, 50 m, pedestrians"]
+    assert encounters.named(frame[1:]).tolist() == ["all, 50 m"]
 
 
 def test_kaplan_meier_by_hand(tiny):
