@@ -1,5 +1,6 @@
 """Open a run folder: its tables (`results.run`) and the metrics computed from them (`results.measure`)."""
 
+import shlex
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,7 +55,7 @@ def open_run(path: str | Path, unfinished: bool = False) -> OpenRun:
     if problem := next(problems(path, manifest, run.inventory), ""):
         raise Damaged(f"{path} is damaged: {problem}.")
     if status != "finished" and not unfinished:
-        how = "Wait for its end." if is_live else f"Continue it: `cosim resume {path}`."
+        how = "Wait for its end." if is_live else f"Continue it: `cosim resume {shlex.quote(str(path))}`."
         raise ValueError(f'{path} is unfinished (status "{run.status}", {run.inventory.end_step} steps on disk). {how}')
     if status != "finished":
         manifest["steps"] = run.inventory.end_step

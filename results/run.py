@@ -8,6 +8,7 @@ table with the inventory, `_check` verifies the checksum of a part, `results.par
 
 import copy
 import os
+import shlex
 import shutil
 import tempfile
 import time
@@ -532,7 +533,7 @@ class Run:
         )
 
     def _found_damaged(self, problem: str, then: str = "") -> NoReturn:
-        then = then or f"`cosim verify {self.path}` lists all that is wrong."
+        then = then or f"`cosim verify {shlex.quote(str(self.path))}` lists all that is wrong."
         message = f"{self.path} is damaged: {problem}. {then}"
         if message not in self.damage:
             self.damage.append(message)

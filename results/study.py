@@ -62,7 +62,7 @@ class StudyResults:
         if others := [keys for way in ways[1:] if (keys := changes(ways[0], way))]:
             raise ValueError(
                 f"{self.path}: {', '.join(others[0])} changed after some runs were measured, and means over both would "
-                f"say nothing. `cosim sweep {self.path}/study.toml --out {self.path}` measures them again."
+                f"say nothing. `{again(self.path)}` measures them again."
             )
         if not frames:
             raise ValueError(f"{self.path} has no finished run yet. Run `cosim sweep` on.")
@@ -236,12 +236,22 @@ def open_study(path: str | Path) -> StudyResults:
         head = json.loads((table.schema.metadata or {})[b"study"])
         points = table.to_pandas()
         _check(head, points)
+        points.loc[_has_finished(path, points), "state"] = "finished"
         return StudyResults(path, head, points)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ValueError(
-            f"{path}/index.parquet is damaged ({reason}). `cosim status {path}` writes it anew."
+            f"{path}/index.parquet is damaged ({reason}). `cosim status {shlex.quote(str(path))}` writes it anew."
         ) from error
+
+
+def _has_finished(path: Path, points: pd.DataFrame) -> pd.Series:
+    """Whether each point's run is measured. A sweep writes the index at its beginning and its end, if it gets there."""
+    ended = {"": False}
+    for run in set(points["run"]) - {""}:
+        files = path / "jobs" / run / "measures.parquet", path / "runs" / run / "manifest.json"
+        ended[run] = all(map(Path.is_file, files))
+    return points["run"].map(ended)
 
 
 def _check(head: Mapping[str, Any], points: pd.DataFrame) -> None:
@@ -293,6 +303,11 @@ def _read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
 
 _POINTS = ("point", "run", "variant", "replicate", "state")
 """Columns of an index that say what a point is."""
+
+
+def again(path: Path) -> str:
+    """The command that continues a study."""
+    return "cosim " + shlex.join(["sweep", f"{path}/study.toml", "--out", str(path)])
 
 
 def is_study(path: Path) -> bool:

@@ -34,8 +34,9 @@ def refuse_other_than_config(path: Path | None) -> None:
 def refuse_other_than_study(path: Path) -> None:
     """Raise ValueError, which names the right command, if a file is known to be no study."""
     if (path / "study.toml").is_file():
-        words = shlex.join([f"{path}/study.toml", "--out", str(path)])
-        raise ValueError(f"{path} is the folder of a study, not its file. Continue it with: cosim sweep {words}")
+        from results.study import again  # here, because pandas takes its time
+
+        raise ValueError(f"{path} is the folder of a study, not its file. Continue it with: {again(path)}")
     refuse_traffic(path)
     if path.suffix == ".toml" and path.is_file() and not _OF_A_STUDY & read_toml(path, "study file").keys():
         given = shlex.quote(str(path))

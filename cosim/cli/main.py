@@ -204,10 +204,10 @@ def resume(
 ) -> None:
     """Continue a run from its last complete block. The tables equal those of a run without interruption."""
     from cosim.runs import run as running
-    from results.study import is_study
+    from results.study import again, is_study
 
     if is_study(folder):
-        raise ValueError(f"{folder} is a study. Continue it with: cosim sweep {folder}/study.toml --out {folder}")
+        raise ValueError(f"{folder} is a study. Continue it with: {again(folder)}")
     with progress() as advance:
         running.resume(folder, advance, trust_code=trust_code)
     _conclude(folder, as_json)

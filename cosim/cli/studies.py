@@ -106,13 +106,13 @@ def status(
         return
     from cosim.studies import sweep as sweeping
     from cosim.studies.folder import StudyFolder
+    from results.study import again
 
     study, states, failed = sweeping.status(StudyFolder(folder), trust_code)
     _print_states(study.head.name, folder, states, failed, as_json)
     if not as_json:
         is_done = states["finished"] == sum(states.values())
-        words = ["report", folder] if is_done else ["sweep", folder / "study.toml", "--out", folder]
-        said = f"cosim {shlex.join(map(str, words))}"
+        said = f"cosim report {shlex.quote(str(folder))}" if is_done else again(folder)
         if not is_done and StudyFolder(folder).is_swept():
             said = "wait, a sweep is running"
         print_line(f"next: {said}")

@@ -50,8 +50,9 @@ def make(job: Path) -> None:
             if asked["traffic"]:
                 traffic = Cache(Path(asked["cache"])).find("traffic", asked["traffic"])
             _drive(folder, asked["config"], traffic)
-        _measure(folder, job, asked)
+        tables = _measured(folder, asked)
         _drop(folder, asked["tables"])
+        write_measured(job, tables)  # from then on nobody comes back to the run
 
 
 def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
@@ -68,8 +69,8 @@ def _drive(folder: Path, config: dict[str, Any], traffic: Path | None) -> None:
     running.run(resolve_data(config, "the plan", None), folder, lambda *_: None, traffic)
 
 
-def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
-    """Measure every point of the run, and keep the metrics in the folder of the job."""
+def _measured(folder: Path, asked: dict[str, Any]) -> dict[str, pd.DataFrame]:
+    """Metrics and curves of every point of the run, by the file in the folder of the job that keeps them."""
     topics, frames, curves = tuple(asked["topics"]) or tuple(TOPICS), [], []
     options = dict(asked["measure"])
     own = options.pop("own", "")
@@ -83,8 +84,7 @@ def _measure(folder: Path, job: Path, asked: dict[str, Any]) -> None:
             rows = check_own(function("measure.own", own)(one), f"measure.own = {own}")
             frames.append(rows.assign(point=point))
     parts_of = {"curves.parquet": curves, "measures.parquet": frames}
-    tables = {name: pd.concat(parts, ignore_index=True) for name, parts in parts_of.items() if parts}
-    write_measured(job, tables)
+    return {name: pd.concat(parts, ignore_index=True) for name, parts in parts_of.items() if parts}
 
 
 def _drop(folder: Path, kept: list[str] | None) -> None:

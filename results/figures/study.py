@@ -455,15 +455,14 @@ def _ticks(axes: Axes, values: pd.Series, across: int) -> None:
     few = found
     if len(found) > most:
         few = found[(len(found) - 1) % 2 :: 2]  # the last one among them
-    least = 0.4 / most * (found[-1] - found[0])
-    if _is_wide(found):
-        least = 0.0
+    along = np.log10 if _is_wide(found) else np.asarray
+    least = 0.4 / most * np.ptp(along(found))
     numbers: list[str] = []
     labelled = -np.inf
-    for value in few:
-        is_apart = value >= labelled + least  # else its number would stand on that of the one before
+    for value, place in zip(few, along(few), strict=True):
+        is_apart = place >= labelled + least  # else its number would stand on that of the one before
         numbers.append(said(value) if is_apart else "")
-        labelled = value if is_apart else labelled
+        labelled = place if is_apart else labelled
     axes.set_xticks(few, numbers)
 
 

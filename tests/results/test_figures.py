@@ -1,6 +1,6 @@
 """Pictures: drawn, labelled with units, saved, the same twice, and never empty."""
 
-from itertools import cycle
+import itertools
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -218,7 +218,10 @@ def test_every_mean_is_within_the_axis_and_the_scale(metric, top, tmp_path):
 def test_negative_means_are_within_the_axis_and_the_scale(seeds, tmp_path):
     """A metric of one's own, such as a utility: the axis ended below the largest mean, and the map was refused."""
     for what, levels in (("map", ("beta", "mate")), ("lines", (10.0, 50.0))):
-        swept, values = {"attack": ("ghosts", "replay"), "level": levels}, cycle(np.linspace(-6.0, -5.0, 4 * seeds))
+        swept, values = (
+            {"attack": ("ghosts", "replay"), "level": levels},
+            itertools.cycle(np.linspace(-6.0, -5.0, 4 * seeds)),
+        )
         study = study_of(tmp_path / what, swept, seeds, lambda *_, v=values: next(v), measured=[("security.mcc", "")])
         study.measures = study.measures.assign(metric="own.utility", unit="")
         (axes,) = study_figure.draw(study, "", ["own.utility"]).axes
@@ -269,6 +272,21 @@ def test_numbers_under_an_axis_do_not_stand_on_one_another(tmp_path):
     assert [label.get_text() for label in axes.get_xticklabels()] == ["0", "", "0.1", "0.5"]
 
 
+def test_many_numbers_under_a_logarithmic_axis_do_not_stand_on_one_another(tmp_path):
+    study = study_of(
+        tmp_path,
+        {"attacks.0.share_p": [k / 50 for k in range(1, 31)]},
+        1,
+        lambda *_: 0.7,
+        measured=[("trust.final.median", "honest")],
+    )
+    figure = study_figure.draw(study, "trust")
+    figure.canvas.draw()
+    assert figure.axes[0].get_xscale() == "log"
+    boxes = [text.get_window_extent() for text in figure.axes[0].get_xticklabels() if text.get_text()]
+    assert len(boxes) > 3 and not any(one.overlaps(other) for one, other in itertools.pairwise(boxes))
+
+
 def test_words_under_two_axes_do_not_stand_on_one_another(tmp_path):
     swept = {"trust.model": ("beta", "trupercept", "mate", "minhas"), "fleet.penetration_p": (0.1, 0.3)}
     swept |= {"trust.freshness_s": (2.0, 10.0)}
@@ -310,7 +328,10 @@ def test_the_ideal_observer_is_the_first_row_of_a_heat_map_of_models(tmp_path):
 def test_encounters_of_a_study_over_radius_and_kind_of_pairs(tmp_path):
     """The groups of encounter metrics are keys: two radii on the axis, two kinds of pairs as lines."""
     groups = [f"{pairs}, {radius} m" for pairs in ("equipped", "los") for radius in (50, 100)]
-    measured, values = [("encounters.duration.km_median_s", group) for group in groups], cycle([8.0, 16.0, 7.0, 12.0])
+    measured, values = (
+        [("encounters.duration.km_median_s", group) for group in groups],
+        itertools.cycle([8.0, 16.0, 7.0, 12.0]),
+    )
     study = study_of(tmp_path, {"traffic.scale": (0.5, 1.0)}, 1, lambda *_: next(values), measured=measured)
     panels = study_figure.draw(study, "encounters", over="radius_m", by="pairs").axes
     assert len(panels) == 2

@@ -1,6 +1,7 @@
 """The commands that predict what a study would measure."""
 
 import json
+import shlex
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -152,7 +153,7 @@ def _write_grid(experiment: Any, path: Path, advance: Any) -> None:
         values = ", ".join(f"{p.metrics[name]:.3g}" for name in names)
         head.append(f"# {point}: {values}")
     write_output(path, ("\n".join(head) + "\n\n" + study.to_toml()).encode())
-    print_line(f"wrote {path}: {len(found)} points. Next: cosim sweep {path} --out FOLDER")
+    print_line(f"wrote {path}: {len(found)} points. Next: cosim sweep {shlex.quote(str(path))} --out FOLDER")
 
 
 def _table(found: Points, measured: list[dict[str, float]] | None) -> Table:

@@ -10,10 +10,12 @@ import pytest
 
 from cosim.base.durable import PARTIAL, Damaged
 from cosim.cli.studies import measure
+from cosim.studies import worker
 from cosim.studies.folder import StudyFolder, status_of
 from cosim.studies.sweep import status
 from results.study import missing_in, open_study, runs_of
 from results.study_measuring import SUMS, write_measured
+from tests.results import tiny
 
 HEAD = {"name": "s", "question": "", "keys": ["trust.host"], "baseline": {}}
 POINT = {"point": "a", "run": "a", "variant": "base", "replicate": 0, "state": "finished", "trust.host": "local"}
@@ -121,6 +123,37 @@ def test_metrics_that_were_changed_after_the_run_was_measured(tmp_path):
     assert missing_in(folder) == [f"jobs/a/curves.parquet {said}", f"jobs/a/measures.parquet {said}"]
     (job / SUMS).write_text("[")
     assert missing_in(folder) == [f"jobs/a/{SUMS} {said}"]
+
+
+def test_a_run_that_finished_in_a_sweep_that_was_killed(tmp_path):
+    """The index was that of the sweep's beginning: the report showed values of "1 waiting" point, and `verify` did not
+    see what was missing of it."""
+    folder = study(tmp_path, point=POINT | {"state": "waiting"}).path
+    run = folder / "runs" / "a"
+    run.mkdir(parents=True)
+    assert open_study(folder).points.state.tolist() == ["waiting"]
+    (run / "manifest.json").touch()
+    assert open_study(folder).points.state.tolist() == ["finished"]
+
+
+def test_a_kill_between_measuring_and_dropping_tables(tmp_path, monkeypatch):
+    """The run counted as measured, nobody came back to it, and it kept all its tables."""
+
+    def kill(*_):
+        raise KeyboardInterrupt
+
+    folder, job = StudyFolder(tmp_path), tmp_path / "jobs" / "a"
+    job.mkdir(parents=True)
+    folder.run("a").mkdir(parents=True)
+    tiny.make(folder.run("a"), 2, vehicles=tiny.fleet("honest"))
+    asked = {"id": "a", "members": {"p": "base"}, "topics": ["traffic"], "measure": {}, "tables": ["vehicles"]}
+    (job / "job.json").write_text(json.dumps(asked))
+    with monkeypatch.context() as killed, pytest.raises(KeyboardInterrupt):
+        killed.setattr(worker, "_drop", kill)
+        worker.make(job)
+    assert not folder.is_finished("a")
+    worker.make(job)
+    assert folder.is_finished("a") and not (folder.run("a") / "actors").exists()
 
 
 def test_what_is_missing_of_finished_points(tmp_path):
